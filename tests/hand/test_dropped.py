@@ -10,6 +10,7 @@ from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import State, subtask
 from hrl_comfort.tasks.hand.grasp import REST_STEPS
+from hrl_comfort.tasks.hand.rewards import HIGHEST_M
 
 WORDS = ["task=cycle", "cell=grasp", "human=none", "meta_controller=nearest", "division=three"]
 EXPERTS = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
@@ -37,6 +38,10 @@ def test_a_stage_ends_forwards_in_its_place_and_backwards_elsewhere() -> None:
     assert after.tolist() == [2, 2, 0]
     paid = engine.episodes.subtask.rewards["pick"](state, state.with_(stage=after))
     assert paid.tolist() == [0.0, 0.0, -1.0]  # what the pick was paid for
+    back = state.with_(stage=after)
+    terms = {name: engine.episodes.subtask.rewards[name](state, back) for name in ("grasp", "lift")}
+    assert terms["grasp"].tolist() == [0.0, 0.0, -1.0]
+    assert terms["lift"][:2].tolist() == [0.0, 0.0] and -HIGHEST_M <= terms["lift"][2] < 0.0
     alone = subtask("place", hand=True)
     assert alone.next_stage(state.with_(stage=torch.zeros_like(state.stage))).tolist() == [1, 1, 0]
 

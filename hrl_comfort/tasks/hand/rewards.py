@@ -13,9 +13,9 @@ HIGHEST_M = 0.10
 """Height to which lifting pays; an object is picked there."""
 
 
-def level_angle(state: State) -> Tensor:
-    """Return the angle (N,) rad of the line from one pad to the other with the horizontal."""
-    return tool_tilt(state)[..., 0].clamp(-1.0, 1.0).asin().abs()
+def level(state: State) -> Tensor:
+    """Return minus the angle (N,) rad of the line from one pad to the other with the horizontal."""
+    return -tool_tilt(state)[..., 0].clamp(-1.0, 1.0).asin().abs()
 
 
 def grasped(state: State) -> Tensor:
@@ -28,11 +28,17 @@ def lifted(state: State) -> Tensor:
     return target_lifted(state)[..., 0].clamp(0.0, HIGHEST_M)
 
 
-def gain(potential: StateFunction, stages: Tensor, sign: float = 1.0) -> TransitionFunction:
-    """Return how much `potential` grows over the step, or with `sign` -1 shrinks, in the `stages` (S,) bool."""
+def gain(potential: StateFunction, stages: Tensor, best: float) -> TransitionFunction:
+    """Return how much `potential` grows over the step in the `stages` (S,) bool.
+
+    A step that falls back to one of them pays as if it had been at its `best` before, so that to drop and to pick an
+    object once more gains nothing.
+    """
 
     def term(before: State, after: State) -> Tensor:
-        return torch.where(stages[before.stage], sign * (potential(after) - potential(before)), 0.0)
+        fell = stages[after.stage] & (after.stage < before.stage)
+        earlier = torch.where(fell, best, potential(before))
+        return torch.where(stages[before.stage] | fell, potential(after) - earlier, 0.0)
 
     return term
 
@@ -51,9 +57,9 @@ def hand_rewards(grasping: tuple[bool, ...]) -> dict[str, TransitionFunction]:
     """Return the terms by the names of their weights; `grasping` (S,) says in which stages an object is picked."""
     stages = torch.tensor([*grasping, False])
     return {
-        "align": gain(level_angle, stages, -1.0),
-        "grasp": gain(grasped, stages),
-        "lift": gain(lifted, stages),
+        "align": gain(level, stages, 0.0),
+        "grasp": gain(grasped, stages, 1.0),
+        "lift": gain(lifted, stages, HIGHEST_M),
         "drop": drop,
         "object_lost": object_lost,
     }
