@@ -34,6 +34,11 @@ TIP_CLEARANCE_M = 0.006
 """Distance of the fingertips from what an object lies on."""
 COUNT = 48
 """Number of start postures for a goal."""
+STARTS_TRIED = 10
+"""Tries for each of them."""
+AHEAD_RAD, FACING_RAD = 2.0, 1.0
+"""Largest differences of a start from home, of each joint but the first, and between the bearings of tool and first
+link: an arm that comes from home neither bends over backwards nor turns its wrist over."""
 
 
 def rise_m(scene: Scene, kind: int, size: float = 1.0) -> float:
@@ -70,6 +75,9 @@ class Grasps:
         self._library = rng.uniform(low, high, (LIBRARY, len(low)))
         self._places, turns = self._arm.tool_pose(self._library)
         self._down, self._across = turns[:, :, 2], turns[:, :, 0]
+        aside = np.arctan2(self._places[:, 1], self._places[:, 0]) - self._library[:, 0]
+        near = np.abs(self._library[:, 1:] - scene.home[1:]).max(axis=1) < AHEAD_RAD
+        self._ahead = np.flatnonzero(near & (np.cos(aside) > math.cos(FACING_RAD)))
         self._furniture = slice(scene.first_furniture, scene.first_prop)
 
     def stand(self, layout: Array) -> None:
@@ -112,21 +120,28 @@ class Grasps:
             return not (contact.dist < CLEAR_M).any()
         return not (contact.dist[(contact.geom != self._guard).all(axis=1)] < APART_M).any()
 
-    def seeds(self, place: Array, turn: Array, near: Array) -> Array:
-        """Return TRIED postures (TRIED, J) near to `near` (J,) whose tool is about at a pose once the pan is turned."""
-        pan = np.arctan2(place[1], place[0]) - np.arctan2(self._places[:, 1], self._places[:, 0])
+    def seeds(self, place: Array, turn: Array, near: Array, among: NDArray[np.int64] | None = None) -> Array:
+        """Return TRIED postures (TRIED, J) near to `near` (J,) whose tool is about at a pose once the pan is turned.
+
+        They are `among` (n,) of the library, by default of all.
+        """
+        chosen = slice(None) if among is None else among
+        library, places, down, across = (
+            each[chosen] for each in (self._library, self._places, self._down, self._across)
+        )
+        pan = np.arctan2(place[1], place[0]) - np.arctan2(places[:, 1], places[:, 0])
         cos, sin = np.cos(pan), np.sin(pan)
 
         def off(axes: Array, wanted: Array) -> Array:
             x, y = cos * axes[:, 0] - sin * axes[:, 1], sin * axes[:, 0] + cos * axes[:, 1]
             return np.arccos(np.clip(x * wanted[0] + y * wanted[1] + axes[:, 2] * wanted[2], -1, 1))
 
-        away = np.hypot(np.hypot(*self._places[:, :2].T) - np.hypot(*place[:2]), self._places[:, 2] - place[2])
-        cost = away + 0.15 * off(self._down, turn[:, 2]) + 0.05 * off(self._across, turn[:, 0])
-        cost += 0.02 * np.abs(self._library[:, 1:] - near[1:]).max(axis=1)
+        away = np.hypot(np.hypot(*places[:, :2].T) - np.hypot(*place[:2]), places[:, 2] - place[2])
+        cost = away + 0.15 * off(down, turn[:, 2]) + 0.05 * off(across, turn[:, 0])
+        cost += 0.02 * np.abs(library[:, 1:] - near[1:]).max(axis=1)
         best = np.argpartition(cost, TRIED)[:TRIED]
         best = best[np.argsort(cost[best])]
-        seeds = self._library[best].copy()
+        seeds = library[best].copy()
         seeds[:, 0] = (seeds[:, 0] + pan[best] + np.pi) % (2 * np.pi) - np.pi
         return seeds
 
@@ -183,18 +198,22 @@ class Grasps:
     def starts(self, place: Array, lifted: bool, spread_m: float = 0.0, count: int = COUNT) -> Array:
         """Return up to `count` postures (n, J) of a hand that has `lifted` an object from (3,) m, or is in front of it.
 
-        The object is up to `spread_m` away along x and y.
+        The object is up to `spread_m` away along x and y. An arm gets there from home.
         """
-        rng, found = np.random.default_rng(0), list[Array]()
-        for _ in range(3 * count):
-            tilt, azimuth = rng.choice(TILTS_RAD), math.atan2(place[1], place[0]) + rng.uniform(-np.pi, np.pi)
-            turn, up = turn_of(float(tilt), float(azimuth), float(rng.choice([-1.0, 1.0]))), rng.uniform(0.9, 1.2)
+        rng, found, home = np.random.default_rng(0), list[Array](), self._scene.home
+        for _ in range(STARTS_TRIED * count):
+            tilt, azimuth, up = rng.choice(TILTS_RAD), rng.uniform(-np.pi, np.pi), rng.uniform(0.9, 1.2)
             back_m, up_m = (0.0, up * ABOVE_M) if lifted else (up * BACK_M, 0.0)
-            aside = np.array([*rng.uniform(-spread_m, spread_m, 2), 0.0])
-            found += self.found(place + aside, [turn], self._scene.home, 1, back_m, up_m)
+            at = place + np.array([*rng.uniform(-spread_m, spread_m, 2), 0.0])
+            turn = turn_of(float(tilt), azimuth, float(rng.choice([-1.0, 1.0])))
+            start = at - back_m * turn[:, 2] + [0.0, 0.0, up_m]
+            ways = (self._leading(seed, start, at, turn) for seed in self.seeds(start, turn, home, self._ahead))
+            away = next((each for each in ways if each is not None), None)
+            if away is not None and np.abs(away[1:] - home[1:]).max() < AHEAD_RAD:
+                found.append(away)
             if len(found) == count:
                 break
-        return np.array(found).reshape(-1, len(self._scene.home))
+        return np.array(found).reshape(-1, len(home))
 
 
 def turn_of(tilt: float, azimuth: float, side: float) -> Array:
