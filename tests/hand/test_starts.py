@@ -66,6 +66,15 @@ def test_a_return_begins_with_the_object_where_a_place_left_it(tmp_path: Path) -
     assert ((state.objects - state.object_places).norm(dim=-1) < 0.03).all()
 
 
+@pytest.mark.parametrize("task", ["place", "return"])
+def test_an_arm_begins_as_it_gets_there_from_home_and_not_bent_over_backwards(task: str) -> None:
+    engine = Engine(cell(f"task={task}"), 24, 0)
+    state, home = engine.reset(), torch.from_numpy(engine.scene.home)
+    assert ((state.joint_pos - home)[:, 1:].abs() < 2.3).all()
+    aside = torch.atan2(state.tcp_pos[:, 1], state.tcp_pos[:, 0]) - state.joint_pos[:, 0]
+    assert (aside.cos() > 0.5).all()
+
+
 def test_recorded_starts_of_another_hand_or_cell_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "picked.npz"
     recorded("pick", file)
