@@ -322,8 +322,9 @@ def approached(
     for m in range(len(nearer)):
         if way[m] > most_m:
             for part in range(len(apart)):
-                then = apart_of(ends, part, after, m, arm_radius, person_radius)
-                nearer[m] |= apart[part, m] - then > most_m
+                if apart[part, m] - apart_of(ends, part, after, m, arm_radius, person_radius) > most_m:
+                    nearer[m] = True
+                    break
     return nearer
 
 
