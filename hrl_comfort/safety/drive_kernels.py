@@ -64,6 +64,22 @@ def bend(swept: Array, lever: Array, part: int) -> float:
 
 
 @kernel
+def bends(velocity: Array, lever: Array) -> Array:
+    """See `ArmGeometry.bending`: of all rows and capsules (C, N)."""
+    (n, joints), found = velocity.shape, np.zeros((len(lever), len(velocity)))
+    rows, swept = np.empty((joints, n)), np.empty(joints)
+    for m in range(n):
+        sweep(velocity, m, swept)
+        for j in range(joints):
+            rows[j, m] = swept[j]
+    for part in range(len(lever)):
+        for j in range(joints):
+            for m in range(n):
+                found[part, m] += lever[part, j] * rows[j, m]
+    return found
+
+
+@kernel
 def stopping_time(velocity: Array, m: int, acceleration: Array) -> float:
     """See `Rating.stopping_time`: of row `m`."""
     slowest = 0.0
@@ -112,39 +128,35 @@ def bound(time_s: float, pace: float, limits: Limits) -> float:
 
 @kernel
 def unsafe(
-    velocity: Array, row: int, slow: Array, fast: Array, share: float, room: Array, moving: Array, m: int, pace: float,
-    lever: Array, acceleration: Array, limits: Limits, first: int, swept: Array,
-) -> int:  # fmt: skip
-    """Return a capsule for which `Shield._safe` does not hold, -1 if all are safe; look at the `first` before others.
-
-    The arm of cell `m` runs the `row` of `velocity`; its capsules move at `share` of the way from `slow` to `fast`
-    (C, N) m/s. `swept` (J,) is for its own use.
-    """
-    braking, parts = stopping_time(velocity, row, acceleration), len(slow)
-    sweep(velocity, row, swept)
-    for index in range(parts):
-        part = first + index if first + index < parts else first + index - parts
-        speed = slow[part, m] + share * (fast[part, m] - slow[part, m]) if share < 1.0 else fast[part, m]
-        fastest = speed + bend(swept, lever, part) * (CONTROL_STEP_S + braking / 2)
-        left = min(limits.servo_speed / max(fastest, 1e-9), 1.0)
-        until = 0.0 if left >= 1.0 else CONTROL_STEP_S + braking * (1 - left) + limits.settled_s  # NaN stays
-        travel = fastest * (CONTROL_STEP_S + braking * (1 - left * left) / 2)
-        until = max(until, limits.settled_s if moving[part, m] > limits.safe_speed else 0.0)
-        if until != 0.0 and not room[part, m] > travel + bound(until, pace, limits) + limits.margin_m:
-            return part
-    return -1
+    speed: float, bending: float, braking: float, room: float, moving: float, pace: float, limits: Limits
+) -> bool:
+    """Return whether `Shield._safe` does not hold of a capsule; `braking` s is how long its arm brakes."""
+    fastest = speed + bending * (CONTROL_STEP_S + braking / 2)
+    left = min(limits.servo_speed / max(fastest, 1e-9), 1.0)
+    until = 0.0 if left >= 1.0 else CONTROL_STEP_S + braking * (1 - left) + limits.settled_s  # NaN stays
+    travel = fastest * (CONTROL_STEP_S + braking * (1 - left * left) / 2)
+    until = max(until, limits.settled_s if moving > limits.safe_speed else 0.0)
+    return (until != 0.0) & (not room > travel + bound(until, pace, limits) + limits.margin_m)
 
 
 @kernel
-def extreme(values: Array, largest: bool) -> Array:
-    """Return the largest or the smallest (1, N) of `values` (C, N); NaN stays."""
-    found = values[:1].copy()
-    for part in range(1, len(values)):
-        for m in range(values.shape[1]):
-            one, other = found[0, m], values[part, m]
-            kept = one >= other if largest else one <= other
-            found[0, m] = one if kept or one != one else other
-    return found
+def first_unsafe(
+    velocity: Array, slow: Array, fast: Array, share: float, room: Array, moving: Array, m: int, pace: float,
+    lever: Array, acceleration: Array, limits: Limits, first: int, swept: Array,
+) -> int:  # fmt: skip
+    """Return a capsule of the arm of cell `m` that is unsafe, -1 if none is; look at the `first` before others.
+
+    The arm runs `velocity` (1, J); its capsules move at `share` of the way from `slow` to `fast` (C, N) m/s. `swept`
+    (J,) is for its own use.
+    """
+    braking, parts = stopping_time(velocity, 0, acceleration), len(slow)
+    sweep(velocity, 0, swept)
+    for index in range(parts):
+        part = first + index if first + index < parts else first + index - parts
+        speed = slow[part, m] + share * (fast[part, m] - slow[part, m])
+        if unsafe(speed, bend(swept, lever, part), braking, room[part, m], moving[part, m], pace, limits):
+            return part
+    return -1
 
 
 @kernel
@@ -212,17 +224,17 @@ def drive(
     moving = speeds(axis, anchor, ends, drawn, link, radius)
     pace = farthest(person_seen, seen) / CONTROL_STEP_S
     held, begin, before = np.zeros(n, dtype=np.bool_), angles.copy(), velocity.copy()
-    swept = np.empty(count)
+    bent, swept, gets = bends(error, lever), np.empty(count), np.empty(n)
     for m in range(n):
-        sweep(error, m, swept)
+        gets[m] = bound(limits.settled_s, pace[m], limits) + limits.margin_m
+    for part in range(parts):
+        for m in range(n):
+            way[part, m] += bent[part, m] / 2
+            near = not apart_seen[part, m] > way[part, m] + gets[m]
+            held[m] |= shielded & (moving[part, m] > limits.safe_speed) & near
+    for m in range(n):
         for j in range(count):
             held[m] |= abs(error[m, j]) / following[j] > 1.0
-        for part in range(parts):
-            way[part, m] += bend(swept, lever, part) / 2
-        if shielded:
-            gets = bound(limits.settled_s, pace[m], limits) + limits.margin_m
-            for part in range(parts):
-                held[m] |= moving[part, m] > limits.safe_speed and not apart_seen[part, m] > way[part, m] + gets
         if held[m] and limits.takes_back > 0.0:
             for j in range(count):
                 begin[m, j], before[m, j] = min(max(joints[m, j], low[j]), high[j]), 0.0
@@ -236,12 +248,11 @@ def drive(
         for j in range(count):
             limited[m, j] = asked[m, j] / over
     fastest = speeds(axis, anchor, ends, limited, link, radius)
-    brake, wanted = np.empty((n, count)), np.empty((n, count))
+    bent, brake, wanted = bends(limited, lever), np.empty((n, count)), np.empty((n, count))
     for m in range(n):
         most, most_bending = 0.0, 0.0
-        sweep(limited, m, swept)
         for part in range(parts):
-            most, most_bending = max(fastest[part, m], most), max(bend(swept, lever, part), most_bending)
+            most, most_bending = max(fastest[part, m], most), max(bent[part, m], most_bending)
         over = max((most + most_bending * CONTROL_STEP_S) / limits.tool_speed, 1.0)
         for j in range(count):
             limited[m, j] /= over
@@ -269,37 +280,36 @@ def drive(
                         moving[part, m] = max(moving[part, m], left)
             for m in range(n):
                 room[part, m] -= way[part, m]
-        tried, longest = np.empty((1, count)), np.empty((1, count))
-        for j in range(count):
-            longest[0, j] = lever[:, j].max()
-        # One capsule that is as near as the nearest and as fast as the fastest: where that one is safe, all are.
-        nearest, fastest, quickest = extreme(room, False), extreme(fast, True), extreme(moving, True)
+        bent, braked, worst = bends(wanted, lever), np.empty(n), np.full(n, -1)
         for m in range(n):
-            passed, closing = 1.0, pace[m]
-            worst = unsafe(
-                wanted, m, fastest, fastest, 1.0, nearest, quickest, m, closing, longest, acceleration, limits, 0, swept
-            )
-            if worst >= 0:
-                worst = unsafe(
-                    wanted, m, slow, fast, 1.0, room, moving, m, closing, lever, acceleration, limits, 0, swept
-                )
-            if worst >= 0:
-                passed = 0.0
-                for share in SHARES[::-1]:
-                    for j in range(count):
-                        tried[0, j] = brake[m, j] + share * (wanted[m, j] - brake[m, j])
-                    worst = unsafe(
-                        tried, 0, slow, fast, share, room, moving, m, closing, lever, acceleration, limits, worst,
-                        swept,
-                    )  # fmt: skip
-                    if worst < 0:
-                        passed = share
-                        break
-            stopped[m] |= passed == 0.0
+            braked[m] = stopping_time(wanted, m, acceleration)
+        for part in range(parts):
+            for m in range(n):
+                fails = unsafe(
+                    fast[part, m], bent[part, m], braked[m], room[part, m], moving[part, m], pace[m], limits
+                )  # fmt: skip
+                worst[m] = part if fails else worst[m]
+        tried, passed = np.empty((1, count)), np.ones(n)
+        for m in range(n):
+            if worst[m] < 0:
+                continue
+            first, passed[m] = worst[m], 0.0
+            for share in SHARES[::-1]:
+                for j in range(count):
+                    tried[0, j] = brake[m, j] + share * (wanted[m, j] - brake[m, j])
+                first = first_unsafe(
+                    tried, slow, fast, share, room, moving, m, pace[m], lever, acceleration, limits, first, swept
+                )  # fmt: skip
+                if first < 0:
+                    passed[m] = share
+                    break
+            stopped[m] |= passed[m] == 0.0
+        for m in range(n):
             for j in range(count):
-                wanted[m, j] = brake[m, j] + passed * (wanted[m, j] - brake[m, j])
-            for part in range(parts):
-                newest = slow[part, m] + passed * (fast[part, m] - slow[part, m])
+                wanted[m, j] = brake[m, j] + passed[m] * (wanted[m, j] - brake[m, j])
+        for part in range(parts):
+            for m in range(n):
+                newest = slow[part, m] + passed[m] * (fast[part, m] - slow[part, m])
                 following = trail[part, 1, m] if sent > 1 else newest
                 after[part, 0, m] = max(trail[part, 0, m] * limits.trailing, following)
                 for index in range(1, sent):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.compiled import contiguous, plain
-from hrl_comfort.safety import kernels
+from hrl_comfort.safety import kernels, pair_kernels
 from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
@@ -211,6 +211,8 @@ def nearest_part(
 
     The vector joins the nearest points of the axes; it is 0 where these cross. See `gaps`.
     """
+    if plain(ends, limbs):
+        return pair_kernels.nearest_part(*contiguous(ends, limbs), arm.radius, person.radius)  # type: ignore[no-any-return]
     on_arm, on_person = closest_points(
         ends[:, :, None, 0], ends[:, :, None, 1], limbs[:, None, :, 0], limbs[:, None, :, 1]
     )

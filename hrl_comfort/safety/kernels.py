@@ -248,17 +248,26 @@ def closest_shares(
 
 
 @kernel
+def nearest_points(
+    ends: Array, part: int, limbs: Array, other: int, m: int
+) -> tuple[float, float, float, float, float, float]:
+    """Return the point on the axis of an arm's capsule that is nearest to one of people, and the vector to that, m."""
+    px, py, pz = ends[0, part, 0, m], ends[1, part, 0, m], ends[2, part, 0, m]
+    dx, dy, dz = ends[0, part, 1, m] - px, ends[1, part, 1, m] - py, ends[2, part, 1, m] - pz
+    qx, qy, qz = limbs[0, other, 0, m], limbs[1, other, 0, m], limbs[2, other, 0, m]
+    ex, ey, ez = limbs[0, other, 1, m] - qx, limbs[1, other, 1, m] - qy, limbs[2, other, 1, m] - qz
+    s, t = closest_shares(px, py, pz, dx, dy, dz, qx, qy, qz, ex, ey, ez)
+    px, py, pz = px + dx * s, py + dy * s, pz + dz * s
+    return px, py, pz, qx + ex * t - px, qy + ey * t - py, qz + ez * t - pz
+
+
+@kernel
 def apart_of(ends: Array, part: int, limbs: Array, m: int, arm_radius: Array, person_radius: Array) -> float:
     """Return the distance, m, of one capsule of the arm of cell `m` from the nearest person; see `gaps`."""
     nearest = np.inf
-    px, py, pz = ends[0, part, 0, m], ends[1, part, 0, m], ends[2, part, 0, m]
-    dx, dy, dz = ends[0, part, 1, m] - px, ends[1, part, 1, m] - py, ends[2, part, 1, m] - pz
     for other in range(limbs.shape[1]):
-        qx, qy, qz = limbs[0, other, 0, m], limbs[1, other, 0, m], limbs[2, other, 0, m]
-        ex, ey, ez = limbs[0, other, 1, m] - qx, limbs[1, other, 1, m] - qy, limbs[2, other, 1, m] - qz
-        s, t = closest_shares(px, py, pz, dx, dy, dz, qx, qy, qz, ex, ey, ez)
-        ux, uy, uz = px + dx * s - (qx + ex * t), py + dy * s - (qy + ey * t), pz + dz * s - (qz + ez * t)
-        nearest = min(np.sqrt(ux * ux + uy * uy + uz * uz) - (arm_radius[part] + person_radius[other]), nearest)
+        _, _, _, x, y, z = nearest_points(ends, part, limbs, other, m)
+        nearest = min(np.sqrt(x * x + y * y + z * z) - (arm_radius[part] + person_radius[other]), nearest)
     return nearest
 
 
@@ -313,8 +322,9 @@ def approached(
     for m in range(len(nearer)):
         if way[m] > most_m:
             for part in range(len(apart)):
-                then = apart_of(ends, part, after, m, arm_radius, person_radius)
-                nearer[m] |= apart[part, m] - then > most_m
+                if apart[part, m] - apart_of(ends, part, after, m, arm_radius, person_radius) > most_m:
+                    nearer[m] = True
+                    break
     return nearer
 
 

@@ -19,6 +19,7 @@ from hrl_comfort.safety.geometry import (
     norm,
     turns,
 )
+from hrl_comfort.safety.pair_kernels import pairs
 from hrl_comfort.scene.human import LIMBS
 from hrl_comfort.scene.workcell import Scene
 
@@ -94,6 +95,9 @@ class Separation:
         """
         arm, person = self.arm, self.person
         pose, limb = arm.pose(angles), person.ends(limbs)
+        if plain(pose.ends, velocity, limb):
+            given = contiguous(pose.axis, pose.anchor, pose.ends, velocity, limb)
+            return pairs(*given, arm.link, arm.radius, person.radius)  # type: ignore[no-any-return]
         axes = pose.ends[:, :, None, 0], pose.ends[:, :, None, 1], limb[:, None, :, 0], limb[:, None, :, 1]
         p, q = closest_points(*axes)
         apart = norm(q - p) - (arm.radius[:, None, None] + person.radius[:, None])

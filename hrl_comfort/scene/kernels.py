@@ -96,10 +96,12 @@ def walkers_limbs(
 @kernel
 def felt(readings: Array, first: int, end: int) -> NDArray[np.bool_]:
     """Return (n,) whether any of the sensors from `first` to before `end` reads something; `readings` (n, nsensor)."""
-    found = np.zeros(len(readings), np.bool_)
+    found = np.empty(len(readings), np.bool_)
     for m in range(len(readings)):
+        reads = False
         for sensor in range(first, end):
-            found[m] |= readings[m, sensor] != 0.0
+            reads |= readings[m, sensor] != 0.0
+        found[m] = reads
     return found
 
 

@@ -6,7 +6,7 @@ limit, and the physics goes unstable; one who stays stands in the arm's way for 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -29,6 +29,8 @@ from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.variation.disturbance import Disturbance
 
 Array = NDArray[np.float64]
+Leaves = Callable[[humans.Walk], NDArray[np.bool_]]
+"""`Motions.leaves`."""
 OVERLAP_M = 1e-5
 """Depth to which somebody walks into the arm, so that the touch is sensed. People are moved, and push without limit:
 from a depth of 1 mm they flung parts that cannot give way at 5 m/s."""
@@ -133,7 +135,7 @@ class People:
         if now is None:
             self.course.append(self.crowd(walks))
         else:
-            leaves = [motions.leaves(walk) for motions, walk in zip(self._motions, walks, strict=True)]
+            leaves = [motions.leaves for motions in self._motions]
             crowd, self.way = stop_at_contact(self._scene, self._separation, now, before, walks, leaves)
             self.course.append(crowd)
         return self.course[-1]
@@ -190,12 +192,12 @@ def stop_at_contact(
     now: Encounter,
     before: Crowd,
     walks: Sequence[humans.Walk],
-    leaves: Sequence[NDArray[np.bool_]],
+    leaves: Sequence[Leaves],
 ) -> tuple[Crowd, float]:
     """Return the people of `walks` with those who would walk into the arms held at OVERLAP_M.
 
     `before` and `walks` are the people before and after a control step, `now` the arms beside those before it. Those
-    held of whom `leaves` (N,) of each person says so draw a touched hand back, and will leave. Each person is looked at
+    held of whom `leaves` of each person says so draw a touched hand back, and will leave. Each person is looked at
     alone. Return also how far, m, the end of any capsule went at most.
     """
     found, begin = [], 0
@@ -218,7 +220,7 @@ def _stopped(
     now: Encounter,
     before: humans.Walk,
     walk: humans.Walk,
-    leaves: NDArray[np.bool_],
+    leaves: Leaves,
 ) -> tuple[Crowd, float]:
     """Return what `stop_at_contact` does of one `person`, whose capsules are those of `now`."""
     walked = contiguous(walk.position, walk.yaw, walk.walked_m, walk.speed_m_s, walk.limbs)
@@ -240,24 +242,24 @@ def _stopped(
     stood = before.rows(at)
     place = stood.position + share[stops, None] * (walk.position[at] - stood.position)
     held = replace(stood, position=place, velocity=np.zeros_like(stood.velocity), retreat=walk.retreat[at])
-    leaving = np.flatnonzero(leaves[at])
-    if len(leaving):
-        back = _drawn_back(scene, arm, person, now.pose.ends[..., at[leaving]], held.rows(leaving))
-        held = held.put(leaving, back)
+    leaving = leaves(held)
+    if leaving.any():
+        back = _drawn_back(scene, arm, person, now.pose.ends[..., at], held)
+        held = replace(held, limbs=np.where(leaving[:, None, None], back, held.limbs))
     limbs[at] = limbs_of(scene, held)
     ends[..., at] = person.ends(limbs[at])
     way = max(way, farthest(ends[..., at], now.person[..., at]).max(initial=0.0))
     return Crowd((walk.put(at, held),), limbs, ends), way
 
 
-def _drawn_back(scene: Scene, arm: ArmGeometry, person: PersonGeometry, ends: Array, held: humans.Walk) -> humans.Walk:
-    """Return people `held` (n) by arms with capsules at `ends` (3, C, 2, n) m, a touched hand drawn back if it can be.
+def _drawn_back(scene: Scene, arm: ArmGeometry, person: PersonGeometry, ends: Array, held: humans.Walk) -> Array:
+    """Return the limbs (n, 6, 3) of people `held` (n) by arms with capsules at `ends` (3, C, 2, n) m.
 
-    One that hooks behind the arm would hold its owner, and the arm.
+    A touched hand is drawn back if it can be: one that hooks behind the arm would hold its owner, and the arm.
     """
     now = person.ends(limbs_of(scene, held))
     part, away = nearest_part(arm, ends, person, now)
-    back = replace(held, limbs=drawn_back(held.limbs, held.yaw, person.limb[part], away))
-    room, gap = (gaps(arm, ends, person, each).min(axis=0) for each in (now, person.ends(limbs_of(scene, back))))
-    worse = np.flatnonzero(gap < room)
-    return back.put(worse, held.rows(worse))
+    back = drawn_back(held.limbs, held.yaw, person.limb[part], away)
+    then = person.ends(limbs_of(scene, replace(held, limbs=back)))
+    room, gap = (gaps(arm, ends, person, each).min(axis=0) for each in (now, then))
+    return np.where((gap < room)[:, None, None], held.limbs, back)

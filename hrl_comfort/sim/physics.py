@@ -119,8 +119,12 @@ class Rollout:
 
     def end_decision(self, steps: NDArray[np.int64], rows: NDArray[np.int64] | None) -> None:
         """See `Physics`."""
-        at = slice(None) if rows is None else rows
-        self.state[at] = np.concatenate(self._passed, axis=1)[np.arange(len(steps)), steps - 1]
+        whole, ends = sum(each.shape[1] for each in self._passed), self._passed[-1][:, -1].copy()
+        early = np.flatnonzero(steps < whole)
+        if len(early):
+            course = np.concatenate([each[early] for each in self._passed], axis=1)
+            ends[early] = course[np.arange(len(early)), steps[early] - 1]
+        self.state[slice(None) if rows is None else rows] = ends
 
     def close(self) -> None:
         """See `Physics`."""

@@ -186,10 +186,11 @@ def compute_step(rules: Rules, max_episode_steps: Tensor, before: State, moving:
     stages, failing, last, earned = rules.judged(before, moving, limits)
     moving = {**moving, "stage": stages}
     rows, end = np.arange(len(last)), failing.shape[1] - 1
-    if (last == end).all():  # as a rule, of few rows
-        kept = {name: np.ascontiguousarray(value[:, end]) for name, value in moving.items()}
-    else:
-        kept = {name: value[rows, last] for name, value in moving.items()}
+    kept, early = {name: value[:, end].copy() for name, value in moving.items()}, np.flatnonzero(last < end)
+    if len(early):  # few, as a rule
+        at = early, last[early]
+        for name, value in moving.items():
+            kept[name][early] = value[at]
     ended, failed = before.with_(**tensors(kept)), failing[rows, last]
     finished = task.success(ended).numpy()
     terminated = (failed | finished) & (not task.repeats)

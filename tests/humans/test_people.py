@@ -223,7 +223,7 @@ def test_who_touches_the_arm_stops_and_steps_back_alone() -> None:
         ahead = [walk.rows(np.array([0])) for walk in crowd.walks]
         ahead = [humans.Walk(**{**vars(walk), "position": walk.position - 0.01 * outwards}) for walk in ahead]
         before = crowd
-        leaves = [np.ones(len(walk.yaw), dtype=bool) for walk in ahead]
+        leaves = [lambda walk: np.ones(len(walk.yaw), dtype=bool)] * 2
         crowd, way = stop_at_contact(scene, separation, now, before, ahead, leaves)
         assert way >= farthest(crowd.ends, before.ends).max()
         if crowd.walks[1].retreat[0]:

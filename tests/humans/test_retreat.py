@@ -71,7 +71,7 @@ def test_who_touches_the_arm_with_a_reaching_hand_gets_free(sideways):
         towards = rng.normal(0, 0.5, towards.shape)
     now = separation.encounter(angles, limbs_of(scene, walk))
 
-    leaves = [np.ones(len(near), dtype=bool)]
+    leaves = [lambda walk: np.ones(len(walk.yaw), dtype=bool)]
 
     def stopped(ahead: humans.Walk) -> tuple[humans.Walk, Encounter]:
         crowd, _ = stop_at_contact(scene, separation, now, engine.episodes.people.crowd([walk]), [ahead], leaves)

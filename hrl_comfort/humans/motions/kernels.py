@@ -293,18 +293,20 @@ def reactive(
     wx, wy = wx + curious * (look_x - wx), wy + curious * (look_y - wy)
 
     vx, vy, most, nearest, rx, ry, strongest = who[3], who[4], -np.inf, 0, 0.0, 0.0, 0.0
+    bounds = np.empty(len(points))
     for index in range(len(points)):
         ax, ay, bx, by = x - points[index, 0], y - points[index, 1], vx - moving[index, 0], vy - moving[index, 1]
-        bound = strength(ax, ay, bx, by)
-        if bound > most:
-            nearest, most = index, bound
+        bounds[index] = strength(ax, ay, bx, by)
+    for index in range(len(points)):
+        if bounds[index] > most:
+            nearest, most = index, bounds[index]
     ax, ay, bx, by = x - points[nearest, 0], y - points[nearest, 1], vx - moving[nearest, 0], vy - moving[nearest, 1]
     size = social_force(ax, ay, bx, by)[2]
     least = math.log(size) if size > 0 else -np.inf
     for index in range(len(points)):
-        ax, ay, bx, by = x - points[index, 0], y - points[index, 1], vx - moving[index, 0], vy - moving[index, 1]
-        if strength(ax, ay, bx, by) < least:
+        if bounds[index] < least:
             continue
+        ax, ay, bx, by = x - points[index, 0], y - points[index, 1], vx - moving[index, 0], vy - moving[index, 1]
         fx, fy, size = social_force(ax, ay, bx, by)
         if size > strongest:
             rx, ry, strongest = fx, fy, size
