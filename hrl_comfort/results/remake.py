@@ -90,8 +90,15 @@ def compact(folder: Path) -> None:
     """Keep the episodes of an evaluation as parquet, a tenth of the size of their CSV."""
     file = ROOT / folder / "episodes.csv"
     if file.is_file() and (rows := read_table(file)) is not None:
-        write_atomically(file.with_suffix(".parquet"), lambda target: rows.to_parquet(target, index=False, **PACKED))
+        write_atomically(file.with_suffix(".parquet"), lambda target: pack(rows, target))
         file.unlink()
+
+
+def pack(rows: DataFrame, target: Path) -> None:
+    """Write episodes as parquet; the bytes of numbers are sorted by their place in it, which saves an eighth."""
+    split = [name for name in rows if rows[name].dtype == "float64"]
+    whole = [name for name in rows if name not in split]
+    rows.to_parquet(target, index=False, use_dictionary=whole, use_byte_stream_split=split, **PACKED)
 
 
 def verify(name: str, entry: Entry) -> str:
