@@ -88,6 +88,7 @@ def test_the_chain_of_the_grasp_is_measured_in_the_world_that_trains_it() -> Non
         task = replace(
             measured.task, name=trained.task.name, max_episode_steps=trained.task.max_episode_steps,
             max_option_steps=trained.task.max_option_steps,
+            resample_start_probability=trained.task.resample_start_probability,  # of trainings alone
         )  # fmt: skip
         world = replace(environment(measured), task=task)
         assert world == replace(environment(trained), reward=world.reward, engine=world.engine)
