@@ -31,8 +31,8 @@ class MetaControllerConfig:
     options: list[str]
     """Subtasks in the order of the cycle."""
     time_limit_steps: Annotated[int, within(1, 100_000)]
-    """Control steps after which an option is preempted, by default `task.max_option_steps`. The options
-    `wait` (stand still for 0.5 s) and `retreat` (go home) are not bound by it. If `comfort.source` is not `none` and
+    """Control steps after which an option is preempted, by default `task.max_option_steps`. The options `wait`
+    (stand still for 0.5 s) and `retreat` (go home) are not bound by it. If `comfort.source` is not `none` and
     `comfort.beta` is above 0, the limit is multiplied by `comfort.levels` / level."""
     interruption_steps: Annotated[int, within(1, 100_000)] | None
     """`sort`, `shift`, `kitting`: control steps after which a skill or `retreat` is interrupted, so that the controller

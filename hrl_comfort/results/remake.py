@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, BinaryIO
 
 from pandas import DataFrame
 
@@ -94,8 +94,8 @@ def compact(folder: Path) -> None:
         file.unlink()
 
 
-def pack(rows: DataFrame, target: Path) -> None:
-    """Write episodes as parquet; the bytes of numbers are sorted by their place in it, which saves an eighth."""
+def pack(rows: DataFrame, target: BinaryIO) -> None:
+    """Write episodes as parquet, bytes of numbers grouped by significance, which saves an eighth; no digit is lost."""
     split = [name for name in rows if rows[name].dtype == "float64"]
     whole = [name for name in rows if name not in split]
     rows.to_parquet(target, index=False, use_dictionary=whole, use_byte_stream_split=split, **PACKED)

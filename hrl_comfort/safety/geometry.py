@@ -216,7 +216,7 @@ def nearest_part(
     on_arm, on_person = closest_points(
         ends[:, :, None, 0], ends[:, :, None, 1], limbs[:, None, :, 0], limbs[:, None, :, 1]
     )
-    between = (on_person - on_arm).reshape(3, -1, ends.shape[-1])
+    between = (on_person - on_arm).reshape(3, ends.shape[1] * limbs.shape[1], ends.shape[-1])
     apart = norm(between) - (arm.radius[:, None] + person.radius).reshape(-1, 1)
     nearest = apart.argmin(axis=0)
     vector = between[:, nearest, np.arange(len(nearest))]

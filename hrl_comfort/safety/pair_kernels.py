@@ -22,8 +22,9 @@ def nearest_part(ends: Array, limbs: Array, arm_radius: Array, person_radius: Ar
             for other in range(len(person_radius)):
                 _, _, _, x, y, z = nearest_points(ends, part, limbs, other, m)
                 length = np.sqrt(x * x + y * y + z * z)
-                if length - (arm_radius[part] + person_radius[other]) < least:
-                    nearest[m], least = other, length - (arm_radius[part] + person_radius[other])
+                gap = length - (arm_radius[part] + person_radius[other])
+                if not (gap >= least or np.isnan(least)):  # as argmin, which takes the first that is no number
+                    nearest[m], least = other, gap
                     length = max(length, 1e-9)
                     away[m, 0], away[m, 1], away[m, 2] = x / length, y / length, z / length
     return nearest, away
@@ -56,6 +57,7 @@ def pairs(
                 length = max(length, 1e-9)
                 x, y, z = x / length, y / length, z / length
                 px, py, pz = px + x * thick, py + y * thick, pz + z * thick
-                moving = (b * pz - c * py - u) * x + (c * px - a * pz - v) * y + (a * py - b * px - w) * z
-                closing[part, other, m] = moving
+                closing[part, other, m] = (
+                    (b * pz - c * py - u) * x + (c * px - a * pz - v) * y + (a * py - b * px - w) * z
+                )
     return apart, closing

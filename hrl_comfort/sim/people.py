@@ -197,7 +197,7 @@ def stop_at_contact(
     """Return the people of `walks` with those who would walk into the arms held at OVERLAP_M.
 
     `before` and `walks` are the people before and after a control step, `now` the arms beside those before it. Those
-    held of whom `leaves` of each person says so draw a touched hand back, and will leave. Each person is looked at
+    held who leave an arm that they touch (`leaves`, a function a person) draw the hand back. Each person is looked at
     alone. Return also how far, m, the end of any capsule went at most.
     """
     found, begin = [], 0

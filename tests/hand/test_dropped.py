@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
 from hrl_comfort.composition.compose import compose
@@ -39,9 +40,16 @@ def test_a_stage_ends_forwards_in_its_place_and_backwards_elsewhere() -> None:
     paid = engine.episodes.subtask.rewards["pick"](state, state.with_(stage=after))
     assert paid.tolist() == [0.0, 0.0, -1.0]  # what the pick was paid for
     back = state.with_(stage=after)
-    terms = {name: engine.episodes.subtask.rewards[name](state, back) for name in ("grasp", "lift")}
-    assert terms["grasp"].tolist() == [0.0, 0.0, -1.0]
-    assert terms["lift"][:2].tolist() == [0.0, 0.0] and -HIGHEST_M <= terms["lift"][2] < 0.0
+    rewards, held = engine.episodes.subtask.rewards, state.pads.clone()
+    held[2, state.target[2]] = True
+    aloft = state.objects.clone()
+    aloft[2, state.target[2], 2] += 1.0
+    again = back.with_(pads=held, objects=aloft)
+    for name, best in ("grasp", 1.0), ("lift", HIGHEST_M):
+        dropped, picked = rewards[name](state, back), rewards[name](back, again)
+        assert dropped[:2].tolist() == [0.0, 0.0] and -best <= float(dropped[2]) < 0.0
+        assert float(dropped[2] + picked[2]) == pytest.approx(0.0, abs=1e-9)  # to pick it once more gains nothing
+    assert rewards["align"](state, back).tolist() == [0.0, 0.0, 0.0]
     alone = subtask("place", hand=True)
     assert alone.next_stage(state.with_(stage=torch.zeros_like(state.stage))).tolist() == [1, 1, 0]
 

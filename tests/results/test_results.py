@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -21,6 +22,7 @@ from hrl_comfort.config import (
     HierarchyTrainConfig,
     MetaControllerTrainConfig,
     ResultsConfig,
+    TrainConfig,
 )
 from hrl_comfort.config.overrides import check_overrides, root_of
 from hrl_comfort.evaluation import ledger
@@ -92,6 +94,32 @@ def test_the_chain_of_the_grasp_is_measured_in_the_world_that_trains_it() -> Non
         )  # fmt: skip
         world = replace(environment(measured), task=task)
         assert world == replace(environment(trained), reward=world.reward, engine=world.engine)
+
+
+def test_the_schedule_is_measured_on_the_pick_of_the_grasp() -> None:
+    grasp = compose("train_hierarchy", ["experiment=grasp"])
+    for words in ENTRIES["schedule"].commands("train"):
+        own = compose("train", words[2:])
+        assert isinstance(grasp, HierarchyTrainConfig) and isinstance(own, TrainConfig)
+        task = replace(
+            own.task, resample_start_probability=grasp.task.resample_start_probability,
+            max_option_steps=grasp.task.max_option_steps,
+        )  # fmt: skip
+        assert replace(environment(own), task=task) == environment(grasp)
+        assert replace(own.agent, policy_steps=grasp.agent.policy_steps) == grasp.agent
+
+
+def test_packed_episodes_keep_every_bit(tmp_path: Path) -> None:
+    rows = pd.DataFrame({
+        "a": [0.1, -0.0, np.nan, np.inf], "n": [1, 2, 3, -4], "on": [True, False, True, True],
+        "word": ["x", "", "y", "z"],
+    })  # fmt: skip
+    for columns in list(rows), ["n", "word"]:
+        with (file := tmp_path / "episodes.parquet").open("wb") as target:
+            remake.pack(rows[columns], target)
+        again = pd.read_parquet(file)
+        pd.testing.assert_frame_equal(again, rows[columns], check_exact=True)
+        assert "a" not in columns or again["a"].to_numpy().tobytes() == rows["a"].to_numpy().tobytes()
 
 
 def test_what_an_order_missed_and_a_second_of_discomfort_cost_is_what_it_cost_in_training() -> None:

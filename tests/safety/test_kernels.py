@@ -96,6 +96,10 @@ def test_distances_of_capsules_that_cross_touch_lie_in_line_or_are_points(separa
 
     both(nearest, ends, limbs)
     both(nearest, ends, np.ascontiguousarray(ends[:, : limbs.shape[1]]))
+    unknown = limbs.copy()
+    unknown[:, 1, 0, :1] = np.nan
+    both(nearest, ends, unknown)
+    both(nearest, ends[..., :0], limbs[..., :0])
     both(separation.pairs, rng.normal(size=(rows, 6)), rng.normal(size=(rows, 6)), people(rng, rows))
     both(farthest, limbs, rng.normal(size=limbs.shape))
     both(farthest, limbs, limbs)

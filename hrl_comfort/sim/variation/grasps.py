@@ -36,9 +36,10 @@ COUNT = 48
 """Number of start postures for a goal."""
 STARTS_TRIED = 10
 """Tries for each of them."""
-AHEAD_RAD, FACING_RAD = 2.0, 1.0
-"""Largest differences of a start from home, of each joint but the first, and between the bearings of tool and first
-link: an arm that comes from home neither bends over backwards nor turns its wrist over."""
+AHEAD_RAD = 2.0
+"""Largest difference of each joint but the first of a start from home: the arm does not turn its wrist over."""
+FACING_RAD = 1.0
+"""Largest bearing of the tool of a start from the x axis of the first link: the arm does not bend over backwards."""
 
 
 def rise_m(scene: Scene, kind: int, size: float = 1.0) -> float:
@@ -154,15 +155,19 @@ class Grasps:
         """
         found: list[Array] = []
         for turn in turns:
-            start = place - back_m * turn[:, 2] + [0.0, 0.0, up_m]
-            for seed in self.seeds(start, turn, near):
-                away = self._leading(seed, start, place, turn)
-                if away is not None:
-                    found.append(away)
-                    break
+            away = self._first(place - back_m * turn[:, 2] + [0.0, 0.0, up_m], place, turn, near)
+            if away is not None:
+                found.append(away)
             if len(found) == count:
                 break
         return found
+
+    def _first(
+        self, start: Array, place: Array, turn: Array, near: Array, among: NDArray[np.int64] | None = None
+    ) -> Array | None:
+        """Return the first posture (J,) of `_leading` from `seeds` near to `near` (J,)."""
+        ways = (self._leading(seed, start, place, turn) for seed in self.seeds(start, turn, near, among))
+        return next((each for each in ways if each is not None), None)
 
     def _leading(self, seed: Array, start: Array, place: Array, turn: Array) -> Array | None:
         """Return the posture (J,) near `seed` with the tool at `start` (3,) m, if it and the grasp are free.
@@ -207,8 +212,7 @@ class Grasps:
             at = place + np.array([*rng.uniform(-spread_m, spread_m, 2), 0.0])
             turn = turn_of(float(tilt), azimuth, float(rng.choice([-1.0, 1.0])))
             start = at - back_m * turn[:, 2] + [0.0, 0.0, up_m]
-            ways = (self._leading(seed, start, at, turn) for seed in self.seeds(start, turn, home, self._ahead))
-            away = next((each for each in ways if each is not None), None)
+            away = self._first(start, at, turn, home, self._ahead)
             if away is not None and np.abs(away[1:] - home[1:]).max() < AHEAD_RAD:
                 found.append(away)
             if len(found) == count:

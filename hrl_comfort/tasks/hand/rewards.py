@@ -13,7 +13,7 @@ HIGHEST_M = 0.10
 """Height to which lifting pays; an object is picked there."""
 
 
-def level(state: State) -> Tensor:
+def levelness(state: State) -> Tensor:
     """Return minus the angle (N,) rad of the line from one pad to the other with the horizontal."""
     return -tool_tilt(state)[..., 0].clamp(-1.0, 1.0).asin().abs()
 
@@ -28,17 +28,19 @@ def lifted(state: State) -> Tensor:
     return target_lifted(state)[..., 0].clamp(0.0, HIGHEST_M)
 
 
-def gain(potential: StateFunction, stages: Tensor, best: float) -> TransitionFunction:
+def gain(potential: StateFunction, stages: Tensor, best: float | None = None) -> TransitionFunction:
     """Return how much `potential` grows over the step in the `stages` (S,) bool.
 
-    A step that falls back to one of them pays as if it had been at its `best` before, so that to drop and to pick an
-    object once more gains nothing.
+    With its `best`, which the stage before ended with, a step that falls back to one of them pays as if it had been at
+    that before: to drop an object and pick it once more gains nothing.
     """
 
     def term(before: State, after: State) -> Tensor:
-        fell = stages[after.stage] & (after.stage < before.stage)
-        earlier = torch.where(fell, best, potential(before))
-        return torch.where(stages[before.stage] | fell, potential(after) - earlier, 0.0)
+        earlier, paying = potential(before), stages[before.stage]
+        if best is not None:
+            fell = stages[after.stage] & (after.stage < before.stage)
+            earlier, paying = torch.where(fell, best, earlier), paying | fell
+        return torch.where(paying, potential(after) - earlier, 0.0)
 
     return term
 
@@ -57,7 +59,7 @@ def hand_rewards(grasping: tuple[bool, ...]) -> dict[str, TransitionFunction]:
     """Return the terms by the names of their weights; `grasping` (S,) says in which stages an object is picked."""
     stages = torch.tensor([*grasping, False])
     return {
-        "align": gain(level, stages, 0.0),
+        "align": gain(levelness, stages),
         "grasp": gain(grasped, stages, 1.0),
         "lift": gain(lifted, stages, HIGHEST_M),
         "drop": drop,
