@@ -28,19 +28,17 @@ def lifted(state: State) -> Tensor:
     return target_lifted(state)[..., 0].clamp(0.0, HIGHEST_M)
 
 
-def gain(potential: StateFunction, stages: Tensor, best: float | None = None) -> TransitionFunction:
+def gain(potential: StateFunction, stages: Tensor, best: float) -> TransitionFunction:
     """Return how much `potential` grows over the step in the `stages` (S,) bool.
 
-    With its `best`, which the stage before ended with, a step that falls back to one of them pays as if it had been at
-    that before: to drop an object and pick it once more gains nothing.
+    A step that falls back to one of them pays as if the potential had been at its `best` before: to drop an object and
+    pick it once more gains nothing.
     """
 
     def term(before: State, after: State) -> Tensor:
-        earlier, paying = potential(before), stages[before.stage]
-        if best is not None:
-            fell = stages[after.stage] & (after.stage < before.stage)
-            earlier, paying = torch.where(fell, best, earlier), paying | fell
-        return torch.where(paying, potential(after) - earlier, 0.0)
+        fell = stages[after.stage] & (after.stage < before.stage)
+        earlier = torch.where(fell, best, potential(before))
+        return torch.where(stages[before.stage] | fell, potential(after) - earlier, 0.0)
 
     return term
 
@@ -59,7 +57,7 @@ def hand_rewards(grasping: tuple[bool, ...]) -> dict[str, TransitionFunction]:
     """Return the terms by the names of their weights; `grasping` (S,) says in which stages an object is picked."""
     stages = torch.tensor([*grasping, False])
     return {
-        "align": gain(levelness, stages),
+        "align": gain(levelness, stages, 0.0),
         "grasp": gain(grasped, stages, 1.0),
         "lift": gain(lifted, stages, HIGHEST_M),
         "drop": drop,
