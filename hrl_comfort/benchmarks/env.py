@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import torch
 from mujoco import rollout
+from numpy.typing import NDArray
 from pandas import DataFrame
 
 from hrl_comfort.benchmarks.measure import Rate, interleaved, rate, ratios
@@ -20,6 +23,7 @@ from hrl_comfort.envs.dm import make_environment
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.scene.workcell import CONTROL_SPEC
 from hrl_comfort.sim.engine import Engine
+from hrl_comfort.sim.physics import Rollout
 from hrl_comfort.sim.processes.engine import make_engine
 
 NUM_ENVS = (1, 16, 64, 256, 1024)
@@ -34,16 +38,20 @@ WORLDS = {
 """World beside the one that is configured -> what configures it."""
 SIZES = {"grasp": (64,)}
 """World -> its numbers of cells in the place of NUM_ENVS."""
+Array = NDArray[np.float64]
 COLUMNS = ("world", "num_envs", "loop", "round", "policy_steps_per_s")
-BARE = "bare mujoco.rollout"
+BARE, ALIKE = "bare mujoco.rollout", "mujoco.rollout of the engine's states"
+WARM_UP, DECISIONS = 32, 16
+"""Decisions of the engine before those that are rolled out again, and number of these."""
 
 
 def bench_env(config: TrainConfig) -> Path:
     """Print policy steps a second of the engine, of bare `mujoco.rollout` of the same work, and their ratio.
 
-    Both run the same model, substeps and threads, in the configured world, called by its task, and in WORLDS; with
-    `engine.processes` the engine is measured in that many too. The dm_control front is measured with one cell. Write
-    the measurements to env.csv and return it.
+    Both run the same model, substeps and threads, in the configured world, called by its task, and in WORLDS. Bare
+    physics begins at home every time, where nothing touches; beside it stand decisions that the engine made, whose
+    physics takes longer. With `engine.processes` the engine is measured in that many too. The dm_control front is
+    measured with one cell. Write the measurements to env.csv and return it.
     """
     torch.set_num_threads(1)
     here = environment(config)
@@ -53,7 +61,8 @@ def bench_env(config: TrainConfig) -> Path:
 
     def loops(size: tuple[str, int]) -> dict[str, Rate]:
         (world, cells), env = size, worlds[size[0]]
-        found = {"engine": engine_loop(env.in_one_process(), cells), BARE: bare_loop(env.in_one_process(), cells)}
+        alone = env.in_one_process()
+        found = {"engine": engine_loop(alone, cells), BARE: bare_loop(alone, cells), ALIKE: alike_loop(alone, cells)}
         if (processes := min(env.engine.processes, cells)) > 1:
             found[f"engine, {processes} processes"] = engine_loop(env, cells)
         if cells == 1 and world == here.task.name:
@@ -95,6 +104,44 @@ def bare_loop(env: EnvConfig, cells: int) -> Callable[[], object]:
     model = engine.scene.model
     data = [mujoco.MjData(model) for _ in range(env.engine.threads)]
     return partial(rollout.rollout, model, data, engine.physics.state, control, control_spec=CONTROL_SPEC)
+
+
+class Recorded(Rollout):
+    """Physics that keeps the states (N, nstate) and controls (N, T, ncontrol) of its decisions."""
+
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        self.kept: list[tuple[Array, list[Array]]] = []
+
+    def begin_decision(self) -> None:
+        """See `Physics`."""
+        super().begin_decision()
+        self.kept.append((self.state.copy(), []))
+
+    def run(self, control: Array, rows: NDArray[np.int64] | None) -> Array:
+        """See `Physics`."""
+        self.kept[-1][1].append(control)
+        return super().run(control, rows)
+
+
+def alike_loop(env: EnvConfig, cells: int) -> Callable[[], None]:
+    """Return a call that rolls out the next of some decisions that the engine made, with their states and controls."""
+    engine, rng = Engine(env, cells, 0, physics=Recorded), np.random.default_rng(0)
+    physics, shape = engine.physics, (cells, engine.episodes.action_dim)
+    assert isinstance(physics, Recorded)
+    engine.reset()
+    for _ in range(WARM_UP + DECISIONS):
+        outcome = engine.step(rng.uniform(-1, 1, shape))
+        engine.reset(np.flatnonzero(outcome.done.numpy()))
+        del physics.kept[:-DECISIONS]
+    model = engine.scene.model
+    data = [mujoco.MjData(model) for _ in range(env.engine.threads)]
+    decisions = cycle([(state, np.concatenate(controls, axis=1)) for state, controls in physics.kept])
+
+    def step() -> None:
+        rollout.rollout(model, data, *next(decisions), control_spec=CONTROL_SPEC)
+
+    return step
 
 
 def dm_loop(env: EnvConfig) -> Callable[[], None]:

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from mujoco import rollout
 from pandas import DataFrame
 
 from hrl_comfort.benchmarks import env as bench_env
@@ -24,6 +25,7 @@ from hrl_comfort.composition.compose import compose, compose_environment
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.files.run_config import environment
 
+LOOPS = ("engine", "bare mujoco.rollout", "mujoco.rollout of the engine's states")
 SMALL = ("agent.hidden=[16,16]", "agent.batch_size=16")
 
 
@@ -69,6 +71,8 @@ def test_every_loop_makes_the_policy_steps_that_its_rate_counts(tmp_path: Path, 
     monkeypatch.setattr(bench_env, "NUM_ENVS", (1, 4))
     monkeypatch.setattr(bench_env, "SIZES", {"grasp": (4,)})
     monkeypatch.setattr(measure, "SECONDS", 0.0)
+    monkeypatch.setattr(bench_env, "WARM_UP", 1)
+    monkeypatch.setattr(bench_env, "DECISIONS", 2)
     made: dict[int, int] = {}
     step = bench_env.Engine.step
 
@@ -79,16 +83,31 @@ def test_every_loop_makes_the_policy_steps_that_its_rate_counts(tmp_path: Path, 
     monkeypatch.setattr(bench_env.Engine, "step", counted)
     assert main(["bench", "env", f"output={tmp_path}"]) == 0
     frame = pd.read_csv(tmp_path / "env.csv")
-    loops = ["engine", "bare mujoco.rollout"]
     worlds = ["pick", "shielded", "shift"]
-    expected = [(world, cells, name) for world in worlds for cells in (1, 4) for name in loops]
-    expected.insert(2, ("pick", 1, "dm_control front"))
-    expected += [("grasp", 4, name) for name in loops]
+    expected = [(world, cells, name) for world in worlds for cells in (1, 4) for name in LOOPS]
+    expected.insert(3, ("pick", 1, "dm_control front"))
+    expected += [("grasp", 4, name) for name in LOOPS]
     for turn in range(measure.ROUNDS):
         rows = frame[frame["round"] == turn]
         assert [*zip(rows["world"], rows["num_envs"], rows["loop"], strict=True)] == expected
-    each = len(worlds) * 2 * measure.ROUNDS
-    assert made == {1: each, 4: each + 2 * measure.ROUNDS}, "one to warm up, one in no time"
+    recorded, turns = 3, 2 * measure.ROUNDS  # one to warm up, one in no time
+    assert made == {1: len(worlds) * (recorded + turns), 4: (1 + len(worlds)) * (recorded + turns)}
+
+
+def test_decisions_of_the_engine_roll_out_to_its_states(monkeypatch) -> None:
+    monkeypatch.setattr(bench_env, "WARM_UP", 1)
+    monkeypatch.setattr(bench_env, "DECISIONS", 2)
+    rolled = []
+
+    def kept(model, data, state, control, **options):
+        rolled.append((state, rollout.rollout(model, data, state, control, **options)[0][:, -1]))
+
+    step = bench_env.alike_loop(compose_environment("train", bench_env.WORLDS["shielded"]), 2)
+    monkeypatch.setattr(bench_env, "rollout", SimpleNamespace(rollout=kept))
+    for _ in range(3):
+        step()
+    (first, then), (second, _), (third, _) = rolled
+    assert (then == second).all() and (third == first).all()
 
 
 def test_the_engine_is_measured_in_several_processes_beside_one(tmp_path: Path, monkeypatch) -> None:
@@ -98,8 +117,8 @@ def test_the_engine_is_measured_in_several_processes_beside_one(tmp_path: Path, 
     assert main(["bench", "env", "engine.processes=2", f"output={tmp_path}"]) == 0
     loops = pd.read_csv(tmp_path / "env.csv").groupby("num_envs")["loop"].unique()
     assert {size: [*names] for size, names in loops.items()} == {
-        1: ["engine", "bare mujoco.rollout", "dm_control front"],
-        4: ["engine", "bare mujoco.rollout", "engine, 2 processes"],
+        1: [*LOOPS, "dm_control front"],
+        4: [*LOOPS, "engine, 2 processes"],
     }
 
 
