@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hrl_comfort import humans
 from hrl_comfort.compiled import kernel, plain
 from hrl_comfort.composition.compose import compose, compose_environment
-from hrl_comfort.safety import kernels
+from hrl_comfort.safety import drive_kernels, kernels
 from hrl_comfort.safety.drive import SetPoints, make_drive
 from hrl_comfort.safety.geometry import ArmPose, farthest, gaps, nearest_part
 from hrl_comfort.safety.separation import Separation
@@ -71,6 +71,16 @@ def test_poses_and_speeds_of_the_arm(separation: Separation, rows: int) -> None:
             both(separation.arm.points, at, moving)
             both(separation.arm.bending, moving)
             both(lambda *given: separation.arm.speeds(ArmPose(*given[:3]), given[3]), *vars(pose).values(), moving)
+
+
+def test_rows_and_capsules_bend_alike_at_once_and_one_by_one(separation: Separation, rows: int) -> None:
+    velocity = np.random.default_rng(rows).uniform(-4, 4, (rows, 6))
+    found, swept = drive_kernels.bends(velocity, separation.arm.lever), np.empty(6)
+    np.testing.assert_allclose(found, separation.arm.bending(velocity), rtol=1e-13)
+    for row in range(rows):
+        drive_kernels.sweep(velocity, row, swept)
+        each = [drive_kernels.bend(swept, separation.arm.lever, part) for part in range(len(found))]
+        np.testing.assert_array_equal(found[:, row], each)
 
 
 def test_arrays_in_another_order_are_the_same(separation: Separation) -> None:

@@ -54,6 +54,20 @@ def test_the_shielded_engine_goes_on_bit_for_bit_after_its_state_is_loaded() -> 
         assert torch.equal(first.joint_pos, second.joint_pos) and torch.equal(first.share, second.share)
 
 
+@pytest.mark.parametrize("last", [[0, 2, 1, 2], [1, 1, 1, 1], [2, 2, 2, 2]])
+def test_the_shield_remembers_of_a_decision_what_was_valid_in_each_row(last: list[int]) -> None:
+    drive = Engine(environment(compose("train", [*WORLD, "safety=ssm"])), 4, 0).episodes.plan.drive
+    assert drive is not None and drive.shield is not None
+    shield, before = drive.shield, drive.shield.memory
+    drive.begin_decision()
+    for step in range(3):
+        shield.remember(np.full_like(before.seen, step), np.full_like(before.trail, 10 + step))
+    shield.sent(np.full(before.trail[:, 0].shape, 50.0))
+    drive.end_decision(np.array(last))
+    assert (shield.memory.seen == last).all()
+    assert (shield.memory.trail[:, -1] == np.where(np.array(last) == 2, 50.0, np.add(last, 10))).all()
+
+
 def test_policies_see_the_shields_last_share_and_its_stops_are_counted() -> None:
     overrides = ("human=approach", "safety=ssm", "task.terminate_on=unsafe_contact")
     config = environment(compose("train", [*WORLD, *overrides]))
