@@ -17,6 +17,8 @@ FILES = {"failure": "failure.mp4", "success": "video.mp4"}
 """Files in `eval/`; the second is also that of an episode that was asked for."""
 NEEDED = {"robot", "cell", "task"}
 """Sections of a run's configuration without which nothing can be drawn."""
+LONGEST_S = 20.0
+"""Longest part that is drawn, its end, of an episode that nobody asked for: at level 1 a failure takes minutes."""
 NONE = "No video: it needs eval/paths.csv (evaluate with record=true) and the run's config.yaml."
 
 
@@ -80,16 +82,20 @@ def _drawn(run: Run, config: ReportConfig) -> list[tuple[Path, str]]:
         first = {kind: [each for each in told if each[1].success == (kind == "success")][:1] for kind in FILES}
         chosen = {kind: each[0] for kind, each in first.items() if each} or {"success": takes[0]}
     files = {kind: run.paths.parent / FILES[kind] for kind in chosen}
-    return [(files[kind], _draw(*each, files[kind], config.speed)) for kind, each in chosen.items()]
+    longest_s = LONGEST_S if config.episode is None else None
+    return [(files[kind], _draw(*each, files[kind], config.speed, longest_s)) for kind, each in chosen.items()]
 
 
-def _draw(recording: Recording, take: Take, file: Path, speed: float) -> str:
-    """Draw a take and return a caption; of one at the first or last of several levels, both beside each other."""
+def _draw(recording: Recording, take: Take, file: Path, speed: float, longest_s: float | None) -> str:
+    """Draw a take and return a caption; of one at the first or last of several levels, both beside each other.
+
+    Of longer ones only the last `longest_s` are drawn, if given.
+    """
     from hrl_comfort.plots.video import azimuth_deg, beside, frames, write_video
 
     view = azimuth_deg(take.path)
     shown = recording.ends if take in recording.ends else [take]
-    pictures = [frames(each, speed, view) for each in shown]
+    pictures = [frames(each, speed, view, longest_s) for each in shown]
     write_video(file, beside(pictures))
     pace = "real time" if speed == 1 else "half speed" if speed == 0.5 else f"speed × {speed:g}"
     if len(shown) > 1:
@@ -97,4 +103,6 @@ def _draw(recording: Recording, take: Take, file: Path, speed: float) -> str:
         how = " and".join(f" at level {each.level} ({side}: {each.ended})" for each, side in sides)
     else:
         how = ("" if take.level is None else f" at level {take.level}") + f", {take.ended}"
-    return f"{take.tape.run.name}, episode {recording.episode}{how}; drawn from its joint angles, {pace}."
+    cut = longest_s is not None and max(each.clip.duration_s for each in shown) > longest_s
+    part = f", the last {longest_s:g} s" if cut else ""
+    return f"{take.tape.run.name}, episode {recording.episode}{how}; drawn from its joint angles, {pace}{part}."

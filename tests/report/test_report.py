@@ -468,12 +468,16 @@ def undrawn(monkeypatch):
     monkeypatch.setattr(video, "write_video", lambda file, episodes: file.write_text(repr(episodes)))
 
 
-def test_a_failure_is_shown_before_a_success_or_the_episode_that_was_asked_for(demo, undrawn):
+def test_a_failure_is_shown_before_a_success_or_the_episode_that_was_asked_for(demo, undrawn, monkeypatch):
     runs = run_folder.find_runs(demo)
     found, _ = videos(runs, ReportConfig(run=str(demo), output=None, video=True))
     assert [caption.split(";")[0] for _, caption in found] == [
         "cycle, episode 3, unsafe contact", "cycle, episode 0, success",
     ]  # fmt: skip
+    assert f"{module.LONGEST_S})" in (demo / "cycle" / "eval" / "failure.mp4").read_text()
+    monkeypatch.setattr(module, "LONGEST_S", 0.04)
+    found, _ = videos(runs, ReportConfig(run=str(demo), output=None, video=True))
+    assert all(caption.endswith(", real time, the last 0.04 s.") for _, caption in found)
     found, _ = videos(runs, ReportConfig(run=str(demo), output=None, video=True, episode=2, speed=0.5))
     assert [caption for _, caption in found] == ["cycle, episode 2, success; drawn from its joint angles, half speed."]
     assert "(0.5," in (demo / "cycle" / "eval" / "video.mp4").read_text()
@@ -514,6 +518,7 @@ def test_an_episode_is_drawn_to_an_mp4(demo, tmp_path):
     (take,) = next(each.takes for each in Tape(run).recordings if each.episode == 0)
     try:
         file = video.write_video(tmp_path / "video.mp4", video.frames(replace(take, path=take.path[:12])))
+        assert len(list(video.frames(take, longest_s=0.1))) == 3 < take.clip.duration_s * video.FRAMES_PER_S
     except PicturesUnavailableError as error:
         pytest.skip(f"nothing can be drawn off screen here: {error}")
     data = file.read_bytes()
