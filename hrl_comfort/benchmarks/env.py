@@ -26,6 +26,7 @@ from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.physics import Rollout
 from hrl_comfort.sim.processes.engine import make_engine
 
+Array = NDArray[np.float64]
 NUM_ENVS = (1, 16, 64, 256, 1024)
 _SHIELDED = (
     "human=mixture", "safety=ssm", "robot.rating=collaborative", "task.terminate_on=unsafe_contact",
@@ -38,18 +39,19 @@ WORLDS = {
 """World beside the one that is configured -> what configures it."""
 SIZES = {"grasp": (64,)}
 """World -> its numbers of cells in the place of NUM_ENVS."""
-Array = NDArray[np.float64]
 COLUMNS = ("world", "num_envs", "loop", "round", "policy_steps_per_s")
-BARE, ALIKE = "bare mujoco.rollout", "mujoco.rollout of the engine's states"
-WARM_UP, DECISIONS = 32, 16
-"""Decisions of the engine before those that are rolled out again, and number of these."""
+BARE, OWN_STATES = "bare mujoco.rollout", "mujoco.rollout of the engine's states"
+DECISIONS = 16
+"""Number of the engine's decisions that are rolled out again."""
+WARM_UP = 32
+"""Number of decisions before them."""
 
 
 def bench_env(config: TrainConfig) -> Path:
     """Print policy steps a second of the engine, of bare `mujoco.rollout` of the same work, and their ratio.
 
-    Both run the same model, substeps and threads, in the configured world, called by its task, and in WORLDS. Bare
-    physics begins at home every time, where nothing touches; beside it stand decisions that the engine made, whose
+    All run the same model, substeps and threads, in the configured world, called by its task, and in WORLDS. Bare
+    physics repeats a decision of arms at home; beside it decisions that the engine made are rolled out again, whose
     physics takes longer. With `engine.processes` the engine is measured in that many too. The dm_control front is
     measured with one cell. Write the measurements to env.csv and return it.
     """
@@ -62,7 +64,11 @@ def bench_env(config: TrainConfig) -> Path:
     def loops(size: tuple[str, int]) -> dict[str, Rate]:
         (world, cells), env = size, worlds[size[0]]
         alone = env.in_one_process()
-        found = {"engine": engine_loop(alone, cells), BARE: bare_loop(alone, cells), ALIKE: alike_loop(alone, cells)}
+        found = {
+            "engine": engine_loop(alone, cells),
+            BARE: bare_loop(alone, cells),
+            OWN_STATES: replay_loop(alone, cells),
+        }
         if (processes := min(env.engine.processes, cells)) > 1:
             found[f"engine, {processes} processes"] = engine_loop(env, cells)
         if cells == 1 and world == here.task.name:
@@ -124,7 +130,7 @@ class Recorded(Rollout):
         return super().run(control, rows)
 
 
-def alike_loop(env: EnvConfig, cells: int) -> Callable[[], None]:
+def replay_loop(env: EnvConfig, cells: int) -> Callable[[], None]:
     """Return a call that rolls out the next of some decisions that the engine made, with their states and controls."""
     engine, rng = Engine(env, cells, 0, physics=Recorded), np.random.default_rng(0)
     physics, shape = engine.physics, (cells, engine.episodes.action_dim)

@@ -43,7 +43,7 @@ def azimuth_deg(path: DataFrame) -> float:
 
 
 def frames(
-    take: Take, speed: float = 1.0, view_deg: float | None = None, longest_s: float | None = None
+    take: Take, speed: float = 1.0, view_deg: float | None = None, begin_s: float = 0.0, end_s: float | None = None
 ) -> Iterator[NDArray[np.uint8]]:
     """Yield the pictures (`scene.camera.HEIGHT`, WIDTH, 3) of a take, FRAMES_PER_S / `speed` a second of its time.
 
@@ -51,7 +51,8 @@ def frames(
       take: what is drawn.
       speed: 0.5 for a video at half speed.
       view_deg: azimuth of the camera; None is `azimuth_deg`.
-      longest_s: of a longer take only its last seconds are drawn.
+      begin_s: time in the take at which the pictures begin.
+      end_s: time at which they end; None is the end of the take.
 
     Raises:
       PicturesUnavailableError: there is no off-screen OpenGL.
@@ -60,8 +61,8 @@ def frames(
     clip, data = take.clip, mujoco.MjData(scene.model)
     view_deg = azimuth_deg(take.path) if view_deg is None else view_deg
     with closing(Camera(scene.model, view_deg, ELEVATION_DEG, DISTANCE_M)) as camera:
-        begin_s = 0.0 if longest_s is None else max(clip.duration_s - longest_s, 0.0)
-        for time_s in np.arange(begin_s, clip.duration_s + 1e-9, speed / FRAMES_PER_S):
+        end_s = clip.duration_s if end_s is None else min(end_s, clip.duration_s)
+        for time_s in np.arange(begin_s, end_s + 1e-9, speed / FRAMES_PER_S):
             set_pose(data, scene, clip.frame(time_s))
             mujoco.mj_forward(scene.model, data)
             yield camera.picture(data)

@@ -18,7 +18,7 @@ FILES = {"failure": "failure.mp4", "success": "video.mp4"}
 NEEDED = {"robot", "cell", "task"}
 """Sections of a run's configuration without which nothing can be drawn."""
 LONGEST_S = 20.0
-"""Longest part that is drawn, its end, of an episode that nobody asked for: at level 1 a failure takes minutes."""
+"""Longest part of an episode that is drawn unless it is asked for: one that fails at level 1 may last minutes."""
 NONE = "No video: it needs eval/paths.csv (evaluate with record=true) and the run's config.yaml."
 
 
@@ -89,13 +89,17 @@ def _drawn(run: Run, config: ReportConfig) -> list[tuple[Path, str]]:
 def _draw(recording: Recording, take: Take, file: Path, speed: float, longest_s: float | None) -> str:
     """Draw a take and return a caption; of one at the first or last of several levels, both beside each other.
 
-    Of longer ones only the last `longest_s` are drawn, if given.
+    With `longest_s`, a longer take is drawn from so long before its end, and two of them up to then.
     """
     from hrl_comfort.plots.video import azimuth_deg, beside, frames, write_video
 
     view = azimuth_deg(take.path)
     shown = recording.ends if take in recording.ends else [take]
-    pictures = [frames(each, speed, view, longest_s) for each in shown]
+    duration_s, begin_s, end_s, told = max(each.clip.duration_s for each in shown), 0.0, None, ""
+    if longest_s is not None and duration_s > longest_s:
+        begin_s, end_s = (0.0, longest_s) if len(shown) > 1 else (duration_s - longest_s, None)
+        told = f", the {'first' if len(shown) > 1 else 'last'} {longest_s:g} s"
+    pictures = [frames(each, speed, view, begin_s, end_s) for each in shown]
     write_video(file, beside(pictures))
     pace = "real time" if speed == 1 else "half speed" if speed == 0.5 else f"speed × {speed:g}"
     if len(shown) > 1:
@@ -103,6 +107,4 @@ def _draw(recording: Recording, take: Take, file: Path, speed: float, longest_s:
         how = " and".join(f" at level {each.level} ({side}: {each.ended})" for each, side in sides)
     else:
         how = ("" if take.level is None else f" at level {take.level}") + f", {take.ended}"
-    cut = longest_s is not None and max(each.clip.duration_s for each in shown) > longest_s
-    part = f", the last {longest_s:g} s" if cut else ""
-    return f"{take.tape.run.name}, episode {recording.episode}{how}; drawn from its joint angles, {pace}{part}."
+    return f"{take.tape.run.name}, episode {recording.episode}{how}; drawn from its joint angles, {pace}{told}."

@@ -90,7 +90,8 @@ def test_every_loop_makes_the_policy_steps_that_its_rate_counts(tmp_path: Path, 
     for turn in range(measure.ROUNDS):
         rows = frame[frame["round"] == turn]
         assert [*zip(rows["world"], rows["num_envs"], rows["loop"], strict=True)] == expected
-    recorded, turns = 3, 2 * measure.ROUNDS  # one to warm up, one in no time
+    recorded = bench_env.WARM_UP + bench_env.DECISIONS
+    turns = 2 * measure.ROUNDS  # one to warm up, one in no time
     assert made == {1: len(worlds) * (recorded + turns), 4: (1 + len(worlds)) * (recorded + turns)}
 
 
@@ -102,7 +103,7 @@ def test_decisions_of_the_engine_roll_out_to_its_states(monkeypatch) -> None:
     def kept(model, data, state, control, **options):
         rolled.append((state, rollout.rollout(model, data, state, control, **options)[0][:, -1]))
 
-    step = bench_env.alike_loop(compose_environment("train", bench_env.WORLDS["shielded"]), 2)
+    step = bench_env.replay_loop(compose_environment("train", bench_env.WORLDS["shielded"]), 2)
     monkeypatch.setattr(bench_env, "rollout", SimpleNamespace(rollout=kept))
     for _ in range(3):
         step()

@@ -462,7 +462,7 @@ def test_without_egl_the_page_names_the_packages(demo, monkeypatch):
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Write a video as the azimuth and the length of each of its episodes, and the speed; draw nothing."""
+    """Write a video as the length of each of its episodes, its speed, azimuth, begin and end; draw nothing."""
     monkeypatch.setattr(video, "frames", lambda take, *words: (len(take.path), words))
     monkeypatch.setattr(video, "beside", list)
     monkeypatch.setattr(video, "write_video", lambda file, episodes: file.write_text(repr(episodes)))
@@ -474,10 +474,11 @@ def test_a_failure_is_shown_before_a_success_or_the_episode_that_was_asked_for(d
     assert [caption.split(";")[0] for _, caption in found] == [
         "cycle, episode 3, unsafe contact", "cycle, episode 0, success",
     ]  # fmt: skip
-    assert f"{module.LONGEST_S})" in (demo / "cycle" / "eval" / "failure.mp4").read_text()
     monkeypatch.setattr(module, "LONGEST_S", 0.04)
     found, _ = videos(runs, ReportConfig(run=str(demo), output=None, video=True))
     assert all(caption.endswith(", real time, the last 0.04 s.") for _, caption in found)
+    ((_, (_, _, begin_s, end_s)),) = ast.literal_eval((demo / "cycle" / "eval" / "failure.mp4").read_text())
+    assert begin_s > 0.04 and end_s is None
     found, _ = videos(runs, ReportConfig(run=str(demo), output=None, video=True, episode=2, speed=0.5))
     assert [caption for _, caption in found] == ["cycle, episode 2, success; drawn from its joint angles, half speed."]
     assert "(0.5," in (demo / "cycle" / "eval" / "video.mp4").read_text()
@@ -489,12 +490,18 @@ def test_a_failure_is_shown_before_a_success_or_the_episode_that_was_asked_for(d
         (demo / "cycle" / "eval" / name).unlink()
 
 
-def test_the_first_and_the_last_level_are_drawn_beside_each_other_from_one_side(demo, tmp_path, undrawn):
+def test_the_first_and_the_last_level_are_drawn_beside_each_other_from_one_side(demo, tmp_path, undrawn, monkeypatch):
     folder = tmp_path / "pick"
-    found, _ = videos(levels_of(demo, folder), ReportConfig(run=str(folder), output=None, video=True, episode=1))
+    runs = levels_of(demo, folder)
+    found, _ = videos(runs, ReportConfig(run=str(folder), output=None, video=True, episode=1))
     assert "episode 1 at level 1 (left: success) and at level 10 (right: success);" in found[0][1]
     (one, here), (other, there) = ast.literal_eval((folder / "eval" / "video.mp4").read_text())
     assert one == other and here == there
+    monkeypatch.setattr(module, "LONGEST_S", 0.04)
+    found, _ = videos(runs, ReportConfig(run=str(folder), output=None, video=True))
+    assert found[0][1].endswith(", real time, the first 0.04 s.")
+    for _, (_, _, begin_s, end_s) in ast.literal_eval((folder / "eval" / "video.mp4").read_text()):
+        assert (begin_s, end_s) == (0.0, 0.04)
 
 
 def test_pictures_beside_each_other_last_as_long_as_the_longest():
@@ -518,7 +525,11 @@ def test_an_episode_is_drawn_to_an_mp4(demo, tmp_path):
     (take,) = next(each.takes for each in Tape(run).recordings if each.episode == 0)
     try:
         file = video.write_video(tmp_path / "video.mp4", video.frames(replace(take, path=take.path[:12])))
-        assert len(list(video.frames(take, longest_s=0.1))) == 3 < take.clip.duration_s * video.FRAMES_PER_S
+        duration_s = take.clip.duration_s
+        last = list(video.frames(take, begin_s=duration_s - 0.08))
+        whole = list(video.frames(take))
+        assert len(last) == 3 < len(whole) == round(duration_s * video.FRAMES_PER_S) + 1
+        assert (last[2] == whole[-1]).all() and len(list(video.frames(take, end_s=0.08))) == 3
     except PicturesUnavailableError as error:
         pytest.skip(f"nothing can be drawn off screen here: {error}")
     data = file.read_bytes()
