@@ -1,4 +1,4 @@
-# make setup | make page | make test | make test-docs | make docs | make results | make fuzz | make campaign | make demo. Everything lives in .venv; nothing is installed elsewhere.
+# make setup | make page | make test | make test-docs | make docs | make results | make fuzz | make campaign | make demo | make demo-hand. Everything lives in .venv; nothing is installed elsewhere.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 STAMP := .venv/.installed
@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 WEB := hrl_comfort/studio/web
 PAGE := $(WEB)/dist/page.js
 
-.PHONY: setup page test pytest test-docs docs results lint style types fuzz campaign demo clean
+.PHONY: setup page test pytest test-docs docs results lint style types fuzz campaign demo demo-hand clean
 
 setup: $(STAMP)
 
@@ -75,6 +75,12 @@ fuzz: setup
 
 demo: $(or $(wildcard $(STAMP)),$(LIGHT))
 	$(BIN)/hrl-comfort train hierarchy experiment=demo output=runs/demo
+
+# A third of the steps of experiment=grasp, in one cell.
+demo-hand: $(or $(wildcard $(STAMP)),$(LIGHT))
+	$(BIN)/hrl-comfort train hierarchy experiment=grasp cell=grasp agent.policy_steps=100000 agent.batch_size=128 \
+	    hierarchy.budget_fractions='{pick: 0.9, place: 1.1, return: 0.3, cycle: 2.3}' \
+	    hierarchy.terminal_states_episodes=300 hierarchy.jobs=2 hierarchy.episodes=60 output=runs/demo_hand
 
 clean:
 	rm -rf $(WEB)/dist $(WEB)/node_modules .venv build dist *.egg-info .coverage .coverage.* .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
