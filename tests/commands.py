@@ -94,6 +94,7 @@ def budget(words: list[str]) -> tuple[str, ...]:
 
 def _recipe(target: str) -> str:
     """Return the arguments of hrl-comfort in the recipe of `make target`."""
-    found = re.search(rf"^{target}:.*\n\t\S*/hrl-comfort (.*)$", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
+    lines = (ROOT / "Makefile").read_text("utf-8").replace("\\\n", " ")
+    found = re.search(rf"^{target}:.*\n\t\S*/hrl-comfort (.*)$", lines, re.MULTILINE)
     assert found is not None, f"make {target} runs no hrl-comfort"
     return found[1]
