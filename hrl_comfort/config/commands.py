@@ -266,7 +266,7 @@ class ReportConfig(CommandConfig):
     output: str | None
     """HTML file; null is report.html in `run`."""
     video: bool
-    """Include videos of the first recorded failure and success, of 20 s at most; `episode` draws a whole one."""
+    """Include videos of the first recorded failure and success."""
     episode: int | None = None
     """Recorded episode of the video, in place of the first failure and the first success."""
     speed: Annotated[float, within(0.1, 1.0)] = 1.0
