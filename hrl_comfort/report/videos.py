@@ -89,7 +89,7 @@ def _drawn(run: Run, config: ReportConfig) -> list[tuple[Path, str]]:
 def _draw(recording: Recording, take: Take, file: Path, speed: float, longest_s: float | None) -> str:
     """Draw a take and return a caption; of one at the first or last of several levels, both beside each other.
 
-    With `longest_s`, a longer take is drawn from so long before its end, and two of them up to then.
+    With `longest_s`, of a longer take only so much is drawn: its end, or the beginning of two beside each other.
     """
     from hrl_comfort.plots.video import azimuth_deg, beside, frames, write_video
 
