@@ -174,12 +174,14 @@ def _with_sections(root: str, run: EnvConfig, overrides: list[str]) -> list[str]
     """Return `overrides` of `root` behind those that set its sections AS_TRAINED as in `run`.
 
     For a group chosen in `overrides`, keys that any file of the group sets are left out; of nested keys, those that the
-    chosen file sets.
+    chosen file sets. A chosen cell takes nothing of the cell of the run.
     """
     chosen, trained = {parse(line).key_or_group: parse(line).value() for line in overrides}, []
     for part in AS_TRAINED[root]:
         stated, group = set[str](), part.split(".")[0]
         own: Any = {}
+        if group == "cell" and group in chosen:
+            continue
         if group in chosen:
             files = [file for file in (config_dir() / group).glob("*.yaml") if file.stem != "_shared"]
             loaded = {file.stem: OmegaConf.load(file) for file in files}

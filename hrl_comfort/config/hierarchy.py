@@ -133,6 +133,9 @@ class MetaControllerAgentConfig:
     """Weight of the latest network in the moving average that is saved; 1 saves the latest."""
     gamma: Annotated[float, within(0.0, 1.0)]
     """Discount factor of a control step; an option of k steps has gamma**k."""
+    n_step: Annotated[int, within(1, 100)]
+    """Number of options whose rewards count, each as it was earned, before the value of what follows them (n-step
+    returns). `ppo` takes 1: its advantages look ahead by `own.gae_lambda`."""
     hidden: Widths
     """Widths of the hidden layers."""
     network: Annotated[str, choice("flat", "shared")]
@@ -163,6 +166,11 @@ class MetaControllerAgentConfig:
             raise ConfigError(
                 f"meta_controller_agent.rule={self.rule} does not go with meta_controller_agent=ppo, "
                 "which learns from its own choices alone; choose null, or dqn or discrete_sac"
+            )
+        if self.n_step > 1 and self.name == "ppo":
+            raise ConfigError(
+                f"meta_controller_agent.n_step={self.n_step} does not go with meta_controller_agent=ppo, "
+                "whose advantages look ahead; choose 1, or dqn or discrete_sac"
             )
         if self.name in TOP_LEARNERS:
             own: Any = own_keys("meta_controller_agent", self.name, TOP_LEARNERS[self.name], self.own)

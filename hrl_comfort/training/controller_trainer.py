@@ -20,6 +20,7 @@ from hrl_comfort.hierarchy.sort import sorting_table
 from hrl_comfort.hierarchy.tops import RULES
 from hrl_comfort.training.logger import OptionsLog
 from hrl_comfort.training.loop import Collected, TrainingLoop
+from hrl_comfort.training.n_step import NStepReturns
 from hrl_comfort.training.resume import train_in_folder
 
 METRICS = "meta_controller_metrics.csv"
@@ -121,6 +122,7 @@ class ControllerTraining(TrainingLoop):
         super().__init__(config, folder, resumes, learner, collector, log, agent.options, self.command)
         self._observation_dim, self._logged = width, 0
         """Options at the latest row."""
+        self._returns = NStepReturns(agent.n_step, agent.gamma, config.engine.num_envs)
 
     @property
     def exploration(self) -> float:
@@ -135,6 +137,10 @@ class ControllerTraining(TrainingLoop):
         """Return the number of updates that the `steps` just counted make due: none in the warm-up."""
         agent = self.config.meta_controller_agent
         return steps * agent.updates_per_option if self.steps >= agent.warmup_options else 0.0
+
+    def seen(self, transitions: TensorDictBase) -> TensorDictBase:
+        """Return the transitions (G,) that are complete now, over `n_step` options each."""
+        return self._returns(transitions)
 
     def record(self, ends: bool) -> None:
         """Write a row and a checkpoint every `log_every` options."""
@@ -158,9 +164,11 @@ class ControllerTraining(TrainingLoop):
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to continue, as plain data."""
-        return {**super().state_dict(), "logged": self._logged}
+        return {**super().state_dict(), "logged": self._logged, "returns": self._returns.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
         self._logged = state["logged"]
+        if "returns" in state:  # those of an earlier version have none
+            self._returns.load_state_dict(state["returns"])
         super().load_state_dict(state)

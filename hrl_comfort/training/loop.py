@@ -98,6 +98,10 @@ class TrainingLoop(ABC):
     def updates_for(self, steps: int) -> float:
         """Return the number of updates that the `steps` just counted make due."""
 
+    def seen(self, transitions: TensorDictBase) -> TensorDictBase:
+        """Return what the learner observes of the `transitions` (F,) just collected."""
+        return transitions
+
     @abstractmethod
     def record(self, ends: bool) -> None:
         """Write the row and the checkpoint that are due; all if a part of the training ends."""
@@ -139,7 +143,7 @@ class TrainingLoop(ABC):
         if self.acts_before_updates:
             self.learn()
         collected = self.collector.step(action)
-        self.learner.observe(collected.transitions)
+        self.learner.observe(self.seen(collected.transitions))
         self.steps += len(collected.transitions)
         self.updates_due += self.updates_for(len(collected.transitions))
         for outcome in collected.finished:

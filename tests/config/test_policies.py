@@ -53,3 +53,12 @@ def test_a_task_takes_from_a_run_all_nested_keys_but_those_that_its_own_file_set
     run = Path(__file__).parents[2] / "runs" / "reference" / "comfort" / "stages" / "seed0"
     found = compose_environment("evaluate", [f"policy={run}", f"task={task}"]).task.precision
     assert (found.grasp_tolerance_m, found.place_tolerance_m) == tolerances_m
+
+
+@pytest.mark.parametrize("cell", ["paper", "bench", "grasp"])
+def test_a_chosen_cell_takes_nothing_of_the_cell_of_a_run(cell: str, tmp_path: Path) -> None:
+    save_config(compose("train", ["task=pick", "cell=varied", "cell.base_height_m=0.5"]), tmp_path / "config.yaml")
+    (tmp_path / "policy.pt").touch()
+    assert compose_environment("evaluate", [f"policy='{tmp_path}'"]).cell.vary.layouts > 0
+    found = compose_environment("evaluate", [f"policy='{tmp_path}'", f"cell={cell}"]).cell
+    assert found == compose_environment("evaluate", [f"cell={cell}", "policy=expert"]).cell

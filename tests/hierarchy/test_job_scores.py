@@ -43,6 +43,16 @@ def test_a_job_is_scored_by_what_is_observed_of_it_and_of_the_others() -> None:
         assert (gain > 0).all() and gain.unique().numel() == JOBS
 
 
+def test_a_pick_is_scored_from_its_job_and_from_mean_and_greatest_of_all() -> None:
+    common, each = OBSERVED["jobs"]
+    seen, net = torch.randn(5, observation_dim("jobs", JOBS)), network(3)
+    jobs = seen[:, common:].unflatten(1, (JOBS, each))
+    of_job = net.embed(torch.cat([seen[:, None, :common].expand(-1, JOBS, -1), jobs], dim=2))
+    of_all = torch.cat([of_job.mean(dim=1), of_job.amax(dim=1)], dim=1)[:, None].expand(-1, JOBS, -1)
+    picks = net(seen)[:, :-2].unflatten(1, (3, JOBS + 2))[..., :JOBS]
+    torch.testing.assert_close(picks, net.pick(torch.cat([of_job, of_all], dim=2)).movedim(2, 1))
+
+
 def test_options_of_another_form_are_refused() -> None:
     with pytest.raises(ConfigError, match="network=shared is for jobs; here there are 9 options and 63 observations"):
         JobScores(observation_dim("jobs", JOBS), 9, [16], "jobs")

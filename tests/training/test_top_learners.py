@@ -101,10 +101,13 @@ def test_every_built_in_learner_is_a_choice_of_its_group() -> None:
         assert found.name == name and set(found.own) == {each.name for each in fields(TOPS[name].Keys)}
 
 
-@pytest.mark.parametrize("name", EVERY)
-def test_a_learner_of_tops_stops_goes_on_bit_for_bit_and_its_file_chooses(name: str, tmp_path: Path) -> None:
-    whole = train_meta_controller(config_of(tmp_path / "whole", name))
-    half, config = tmp_path / "half", config_of(tmp_path / "half", name)
+@pytest.mark.parametrize(("name", "n_step"), [*((name, 1) for name in EVERY), ("dqn", 3)])
+def test_a_learner_of_tops_stops_goes_on_bit_for_bit_and_its_file_chooses(
+    name: str, n_step: int, tmp_path: Path
+) -> None:
+    words = (f"meta_controller_agent.n_step={n_step}",)
+    whole = train_meta_controller(config_of(tmp_path / "whole", name, *words))
+    half, config = tmp_path / "half", config_of(tmp_path / "half", name, *words)
     with stopping(ControllerTraining, "step", lambda training: training.steps >= 30):
         train_meta_controller(config)
     train_meta_controller(replace(config, resume=str(half)))
@@ -118,8 +121,8 @@ def test_a_learner_of_tops_stops_goes_on_bit_for_bit_and_its_file_chooses(name: 
     ran = [float(value) for column, value in last.items() if column.startswith("share/")]
     assert len(ran) == len(files[1]["spec"]["names"]) and sum(ran) == pytest.approx(1.0)
     assert files[1]["spec"]["learner"] == name
-    words = [*SHORT, f"policies.meta_controller='{whole}'", "meta_controller=learned", "comfort=sort", "episodes=2"]
-    asked = compose("evaluate", ["task=sort", *words])
+    asked_for = [*SHORT, f"policies.meta_controller='{whole}'", "meta_controller=learned", "comfort=sort", "episodes=2"]
+    asked = compose("evaluate", ["task=sort", *asked_for])
     ends = [[each.return_ for each in rollout(asked).episodes] for _ in range(2)]  # type: ignore[arg-type]
     assert ends[0] == ends[1] and len(ends[0]) == 2
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import linear
 from torchrl.modules import MLP
 
 from hrl_comfort.config import ConfigError
@@ -56,11 +57,20 @@ class JobScores(nn.Module):
         """Return the scores (…, K)."""
         common, jobs = observation.split([self._common, self._jobs * self._each], dim=-1)
         jobs = jobs.unflatten(-1, (self._jobs, self._each))
-        repeated = common[..., None, :].expand(*jobs.shape[:-1], -1)
-        of_job = self.embed(torch.cat([repeated, jobs], dim=-1))
+        embed, (first, *further) = self.embed[0], self.pick
+        assert isinstance(embed, nn.Linear) and isinstance(first, nn.Linear)
+        of_common, of_each = embed.weight.split([self._common, self._each], dim=1)
+        of_job = _beside(jobs, of_each, common, of_common, embed.bias).relu()
         of_all = torch.cat([of_job.mean(dim=-2), of_job.amax(dim=-2)], dim=-1)
-        among = of_all[..., None, :].expand(*jobs.shape[:-1], -1)
-        picks = self.pick(torch.cat([of_job, among], dim=-1)).movedim(-1, -2)
+        of_each, of_common = first.weight.split([of_job.shape[-1], of_all.shape[-1]], dim=1)
+        picks = _beside(of_job, of_each, of_all, of_common, first.bias)
+        for layer in further:
+            picks = layer(picks)
         single, last = self.single(torch.cat([of_all, common], dim=-1)).split([SINGLE * self._levels, LAST], dim=-1)
-        by_level = torch.cat([picks, single.unflatten(-1, (self._levels, SINGLE))], dim=-1)
+        by_level = torch.cat([picks.movedim(-1, -2), single.unflatten(-1, (self._levels, SINGLE))], dim=-1)
         return torch.cat([by_level.flatten(-2), last], dim=-1)
+
+
+def _beside(each: Tensor, of_each: Tensor, common: Tensor, of_common: Tensor, bias: Tensor) -> Tensor:
+    """Return a layer (…, B, H) of numbers of each job (…, B, J) beside those of all (…, C), which it takes once."""
+    return linear(each, of_each) + linear(common, of_common, bias)[..., None, :]

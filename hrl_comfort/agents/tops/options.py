@@ -99,7 +99,7 @@ class OptionLearner(ABC):
         self.loss = self.new_loss()
         self.average = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(1 - config.ema_rate))
         weights = [each for each in self.loss.parameters() if each.requires_grad]
-        self.optimiser = torch.optim.Adam(weights, lr=config.learning_rate)
+        self.optimiser = torch.optim.Adam(weights, lr=config.learning_rate, fused=True)
 
     @abstractmethod
     def new_loss(self) -> LossModule:
