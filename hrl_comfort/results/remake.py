@@ -77,6 +77,12 @@ def output_of(words: Sequence[str]) -> str:
     return next((word.removeprefix("output=") for word in words if word.startswith("output=")), words[-1])
 
 
+def has_policies(words: Sequence[str]) -> bool:
+    """Return whether the run folders that a command names as policies are there."""
+    given = (word.partition("=")[2] for word in words if word.startswith(("policy=", "policies.")))
+    return all((ROOT / value).exists() for value in given if value.startswith("runs/"))
+
+
 def evaluations_of(words: Sequence[str]) -> list[Path]:
     """Return the folders of evaluations that a command writes: its output, or that of each part of the benchmark."""
     output = Path(output_of(words))
@@ -102,16 +108,20 @@ def pack(rows: DataFrame, target: BinaryIO) -> None:
 
 
 def verify(name: str, entry: Entry) -> str:
-    """Run the first batch of an entry's evaluations of its first seed again; say where it differs, or record it.
+    """Run the first batch of an entry's evaluations of a seed again; say where it differs, or record it.
 
-    Equal digits need the same machine too: a product of matrices may differ in its last bit on another processor.
+    The seed is the first whose policies are there. Equal digits need the same machine too: a product of matrices may
+    differ in its last bit on another processor.
 
     Raises:
-      ConfigError: there is nothing to compare with, or a file has uncommitted changes.
+      ConfigError: there is nothing to compare with, no seed has its policies, or a file has uncommitted changes.
     """
     made, record = need_clean_tree(), read_record(name)
-    first = Entry(**{**entry.model_dump(), "seeds": entry.seeds[:1]})
-    commands = [words for words in first.commands("evaluate") if words[1] in MEASURED]
+    each = [Entry(**{**entry.model_dump(), "seeds": [seed]}) for seed in entry.seeds] or [entry]
+    of_seeds = [[words for words in one.commands("evaluate") if words[1] in MEASURED] for one in each]
+    commands = next((found for found in of_seeds if all(map(has_policies, found))), None)
+    if commands is None:
+        raise ConfigError(f"verify={name}: its policies are not kept; give remake={name} train=true")
     known = {
         folder: read_table(ROOT / folder / "episodes.csv") for words in commands for folder in evaluations_of(words)
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -252,6 +253,29 @@ def test_a_result_is_made_anew_by_a_module_that_would_go_on_with_what_is_there(c
     remake.remake("made", entry, train=False, jobs=1)
     assert (checkout / "runs" / "made.csv").read_text(encoding="utf-8") == "2\n"
     assert record.read_record("made") is not None
+
+
+def test_a_result_is_verified_by_the_first_seed_whose_policies_are_kept(
+    checkout: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran: list[str] = []
+
+    def run(words: list[str]) -> None:
+        ran.append(words[2])
+        shutil.copytree(checkout / "runs" / "e1", remake.output_of(words))
+
+    monkeypatch.setattr(remake, "run", run)
+    evaluate = "hrl-comfort evaluate policy=runs/p{seed} episodes=1 output=runs/e{seed}"
+    entry = MADE.model_copy(update={"draw": [], "seeds": [0, 1], "evaluate": [evaluate]})
+    record.write_record("made", record.Record(commit="0", commands=[]))
+    with pytest.raises(ConfigError, match=r"^verify=made: its policies are not kept; give remake=made train=true$"):
+        remake.verify("made", entry)
+    for name in ("p1", "e1"):
+        (checkout / "runs" / name).mkdir()
+    (checkout / "runs" / "e1" / "episodes.csv").write_text("episode,comfort_level,success\n0,,1\n", encoding="utf-8")
+    assert remake.verify("made", entry) == "" and ran == ["policy=runs/p1"]
+    kept = record.read_record("made")
+    assert kept is not None and kept.verified == provenance.commit()
 
 
 def test_a_command_that_fails_publishes_nothing(checkout: Path) -> None:
