@@ -45,7 +45,7 @@ class Learner(Protocol):
         """Return actions (N, …); `exploration` is the probability of one at random, whatever the policy says."""
 
     def observe(self, transitions: TensorDictBase) -> None:
-        """Store transitions (F,)."""
+        """Store transitions (F,), of `meta_controller_agent.n_step` choices each; F may be 0."""
 
     def update(self) -> dict[str, float]:
         """Learn once, and return terms by column; none where too little has been observed for that."""

@@ -47,7 +47,7 @@ AS_TRAINED: dict[str, tuple[str, ...]] = {
     "evaluate": _ALL_BUT_ENGINE,
     "studio": _ALL_BUT_ENGINE,
     "export": _ALL_BUT_ENGINE,
-    "deploy": ("robot.name", "cell", "human.clipping", "human.spawns_m", "comfort", "task", "reward"),
+    "deploy": ("robot.name", "robot.gripper", "cell", "human.clipping", "human.spawns_m", "comfort", "task", "reward"),
     "train_meta_controller": ("robot", "cell", "human"),
 }
 """Sections and keys that take their defaults from the run of the given policy, by root."""

@@ -41,7 +41,7 @@ def _checkpoint(asked: re.Match[str]) -> str:
 def _of_file(line: str) -> list[str]:
     """Return the overrides that a user's own file stands for; `line` itself where it is none.
 
-    A file of `human` has keys on top of the motion that it names.
+    A file of `human` has keys on top of the motion that it names, one of `cell` on top of a cell without obstacles.
 
     Raises:
       ConfigError: there is no such file, or it is damaged.
@@ -54,6 +54,8 @@ def _of_file(line: str) -> list[str]:
     content = read_yaml(file)[1]
     if group == "cell":
         content = {"stations_m": None, **content}  # those of the default cell are of no use elsewhere
-    base = [f"human={content.pop('motion')}"] if group == "human" and content.get("motion") in known else []
+    base = ["cell=paper"] if group == "cell" else []
+    if group == "human" and content.get("motion") in known:
+        base = [f"human={content.pop('motion')}"]
     # Without `++` a mapping is set as a whole; with it Hydra would add to the entries of the default.
     return [*base, *(override(f"{group}.{key}", value).lstrip("+") for key, value in content.items())]

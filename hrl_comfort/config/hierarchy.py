@@ -134,8 +134,9 @@ class MetaControllerAgentConfig:
     gamma: Annotated[float, within(0.0, 1.0)]
     """Discount factor of a control step; an option of k steps has gamma**k."""
     n_step: Annotated[int, within(1, 100)]
-    """Number of options whose rewards count, each as it was earned, before the value of what follows them (n-step
-    returns). `ppo` takes 1: its advantages look ahead by `own.gae_lambda`."""
+    """Number of choices whose discounted rewards count before the value of the observation after them (n-step returns,
+    not corrected for other policies; with `discrete_sac` without the entropy in between). `ppo` takes 1: its advantages
+    look ahead by `own.gae_lambda`."""
     hidden: Widths
     """Widths of the hidden layers."""
     network: Annotated[str, choice("flat", "shared")]

@@ -20,8 +20,8 @@ PHASES = ("train", "evaluate", "draw")
 PICTURES = (".png", ".gif", ".svg", ".jpg", ".mp4", ".csv", ".json", ".parquet", ".npz", ".pt")
 """Files in docs/ with these suffixes are artefacts too; all tracked files in runs/ are."""
 MEASURING = (
-    *(f"hrl_comfort/{name}" for name in ("agents", "comfort", "config", "envs", "evaluation", "hierarchy", "humans",
-                                         "policies", "safety", "scene", "sim", "tasks")),
+    *(f"hrl_comfort/{name}" for name in ("agents", "comfort", "composition", "config", "envs", "evaluation",
+                                         "hierarchy", "humans", "policies", "safety", "scene", "sim", "tasks")),
     "conf", ":!conf/experiment", ":!hrl_comfort/scene/looks",
 )  # fmt: skip
 """Files that decide an evaluation of given policies, as pathspecs of git."""

@@ -122,7 +122,7 @@ class ControllerTraining(TrainingLoop):
         super().__init__(config, folder, resumes, learner, collector, log, agent.options, self.command)
         self._observation_dim, self._logged = width, 0
         """Options at the latest row."""
-        self._returns = NStepReturns(agent.n_step, agent.gamma, config.engine.num_envs)
+        self._n_step = NStepReturns(agent.n_step, agent.gamma, config.engine.num_envs)
 
     @property
     def exploration(self) -> float:
@@ -138,9 +138,9 @@ class ControllerTraining(TrainingLoop):
         agent = self.config.meta_controller_agent
         return steps * agent.updates_per_option if self.steps >= agent.warmup_options else 0.0
 
-    def seen(self, transitions: TensorDictBase) -> TensorDictBase:
-        """Return the transitions (G,) that are complete now, over `n_step` options each."""
-        return self._returns(transitions)
+    def observed(self, transitions: TensorDictBase) -> TensorDictBase:
+        """Return the transitions (G,) that are complete now, of `n_step` choices each."""
+        return self._n_step(transitions)
 
     def record(self, ends: bool) -> None:
         """Write a row and a checkpoint every `log_every` options."""
@@ -164,11 +164,11 @@ class ControllerTraining(TrainingLoop):
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to continue, as plain data."""
-        return {**super().state_dict(), "logged": self._logged, "returns": self._returns.state_dict()}
+        return {**super().state_dict(), "logged": self._logged, "n_step": self._n_step.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
         self._logged = state["logged"]
-        if "returns" in state:  # those of an earlier version have none
-            self._returns.load_state_dict(state["returns"])
+        if "n_step" in state:  # those of an earlier version have none
+            self._n_step.load_state_dict(state["n_step"])
         super().load_state_dict(state)

@@ -63,7 +63,7 @@ class TrainingLoop(ABC):
     """
 
     unit: ClassVar[str]
-    """Name of what is counted: one for each transition observed."""
+    """Name of what is counted: one for each transition collected."""
     command: ClassVar[str]
     acts_before_updates: ClassVar[bool]
     """Whether the next actions are chosen before the updates that are due, or after them."""
@@ -98,7 +98,7 @@ class TrainingLoop(ABC):
     def updates_for(self, steps: int) -> float:
         """Return the number of updates that the `steps` just counted make due."""
 
-    def seen(self, transitions: TensorDictBase) -> TensorDictBase:
+    def observed(self, transitions: TensorDictBase) -> TensorDictBase:
         """Return what the learner observes of the `transitions` (F,) just collected."""
         return transitions
 
@@ -143,7 +143,7 @@ class TrainingLoop(ABC):
         if self.acts_before_updates:
             self.learn()
         collected = self.collector.step(action)
-        self.learner.observe(self.seen(collected.transitions))
+        self.learner.observe(self.observed(collected.transitions))
         self.steps += len(collected.transitions)
         self.updates_due += self.updates_for(len(collected.transitions))
         for outcome in collected.finished:

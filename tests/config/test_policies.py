@@ -55,10 +55,25 @@ def test_a_task_takes_from_a_run_all_nested_keys_but_those_that_its_own_file_set
     assert (found.grasp_tolerance_m, found.place_tolerance_m) == tolerances_m
 
 
-@pytest.mark.parametrize("cell", ["paper", "bench", "grasp"])
-def test_a_chosen_cell_takes_nothing_of_the_cell_of_a_run(cell: str, tmp_path: Path) -> None:
-    save_config(compose("train", ["task=pick", "cell=varied", "cell.base_height_m=0.5"]), tmp_path / "config.yaml")
+OWN_CELL = """
+base_height_m: 0.75
+places: {tray: {top_m: [0.45, 0.0, 0.1], size_m: [0.3, 0.3]}, shelf: {top_m: [-0.3, 0.4, 0.2], size_m: [0.2, 0.2]}}
+objects: {ball: {shape: sphere, size_m: [0.03], arrives_at: tray, belongs_at: shelf}}
+"""
+
+
+@pytest.mark.parametrize("root", ["evaluate", "studio", "export", "deploy"])
+@pytest.mark.parametrize("cell", ["paper", "grasp", "bench_hand", "own.yaml"])
+def test_a_chosen_cell_takes_nothing_of_the_cell_of_a_run_and_the_arm_follows_it(
+    cell: str, root: str, tmp_path: Path
+) -> None:
+    words = ["task=pick", "cell=varied", "robot=ur5e", "gripper=two_finger", "cell.base_height_m=0.5"]
+    save_config(compose("train", words), tmp_path / "config.yaml")
     (tmp_path / "policy.pt").touch()
-    assert compose_environment("evaluate", [f"policy='{tmp_path}'"]).cell.vary.layouts > 0
-    found = compose_environment("evaluate", [f"policy='{tmp_path}'", f"cell={cell}"]).cell
-    assert found == compose_environment("evaluate", [f"cell={cell}", "policy=expert"]).cell
+    (tmp_path / "own.yaml").write_text(OWN_CELL, encoding="utf-8")
+    trained = f"policy='{tmp_path}'"
+    assert compose_environment(root, [trained]).cell.vary.layouts > 0
+    chosen = f"cell='{tmp_path / cell}'" if cell.endswith(".yaml") else f"cell={cell}"
+    found = compose_environment(root, [trained, chosen])
+    assert found.cell == compose_environment("train", ["task=pick", chosen]).cell
+    assert (found.robot.name, found.robot.gripper.name) == ("ur5e", "two_finger")

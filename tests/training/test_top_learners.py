@@ -154,6 +154,14 @@ def test_a_learner_of_tops_finds_the_option_that_pays_and_never_one_that_cannot_
     assert (chosen == 0).float().mean() > 0.9
 
 
+@pytest.mark.parametrize("name", ["dqn", "discrete_sac"])
+def test_updates_that_are_due_before_the_first_returns_are_complete_wait(name: str, tmp_path: Path) -> None:
+    words = ("meta_controller_agent.n_step=6", "meta_controller_agent.warmup_options=0")
+    folder = train_meta_controller(config_of(tmp_path / "run", name, *words))
+    last = [*csv.DictReader((folder / "meta_controller_metrics.csv").read_text().splitlines())][-1]
+    assert int(last["options"]) >= FEW["options"] and 0 < int(last["updates"]) < FEW["options"]
+
+
 def test_the_advantages_of_ppo_are_those_of_torchrl_and_rows_do_not_mix() -> None:
     length, gamma, lam = 12, 0.9, 0.8
     value, after, reward = torch.randn(3, length, 1)

@@ -59,11 +59,11 @@ class JobScores(nn.Module):
         jobs = jobs.unflatten(-1, (self._jobs, self._each))
         embed, (first, *further) = self.embed[0], self.pick
         assert isinstance(embed, nn.Linear) and isinstance(first, nn.Linear)
-        of_common, of_each = embed.weight.split([self._common, self._each], dim=1)
-        of_job = _beside(jobs, of_each, common, of_common, embed.bias).relu()
+        for_common, for_job = embed.weight.split([self._common, self._each], dim=1)
+        of_job = _linear_of_parts(jobs, for_job, common, for_common, embed.bias).relu()
         of_all = torch.cat([of_job.mean(dim=-2), of_job.amax(dim=-2)], dim=-1)
-        of_each, of_common = first.weight.split([of_job.shape[-1], of_all.shape[-1]], dim=1)
-        picks = _beside(of_job, of_each, of_all, of_common, first.bias)
+        for_job, for_all = first.weight.split([of_job.shape[-1], of_all.shape[-1]], dim=1)
+        picks = _linear_of_parts(of_job, for_job, of_all, for_all, first.bias)
         for layer in further:
             picks = layer(picks)
         single, last = self.single(torch.cat([of_all, common], dim=-1)).split([SINGLE * self._levels, LAST], dim=-1)
@@ -71,6 +71,9 @@ class JobScores(nn.Module):
         return torch.cat([by_level.flatten(-2), last], dim=-1)
 
 
-def _beside(each: Tensor, of_each: Tensor, common: Tensor, of_common: Tensor, bias: Tensor) -> Tensor:
-    """Return a layer (…, B, H) of numbers of each job (…, B, J) beside those of all (…, C), which it takes once."""
-    return linear(each, of_each) + linear(common, of_common, bias)[..., None, :]
+def _linear_of_parts(jobs: Tensor, for_job: Tensor, common: Tensor, for_common: Tensor, bias: Tensor) -> Tensor:
+    """Return a linear layer (…, B, H) of each job's numbers (…, B, J) with those of all (…, C), which are not repeated.
+
+    Its weights are `for_job` (H, J) and `for_common` (H, C).
+    """
+    return linear(jobs, for_job) + linear(common, for_common, bias)[..., None, :]

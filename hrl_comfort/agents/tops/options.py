@@ -154,7 +154,9 @@ class ReplayLearner(OptionLearner):
             self.buffer.extend(transitions)
 
     def update(self) -> dict[str, float]:
-        """Do one update and return its `loss`."""
+        """Do one update and return its `loss`; nothing before the first transitions."""
+        if not len(self.buffer):
+            return {}
         found = self.learn_from(self.buffer.sample(), *self.losses)
         self.target.step()
         self.average.update_parameters(self.network)
