@@ -1,4 +1,4 @@
-"""Returns over several options."""
+"""Returns over several choices."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_each_transition_is_joined_with_those_that_follow_it_in_its_episode(step
     assert {(*each[2][2], *each[2][3]) for each in expected} >= {(True, False), (False, True), (False, False)}
 
 
-def test_ppo_takes_no_returns_over_several_options() -> None:
+def test_ppo_takes_no_returns_over_several_choices() -> None:
     with pytest.raises(
         ConfigError, match=r"^meta_controller_agent\.n_step=3 does not go with meta_controller_agent=ppo"
     ):
