@@ -11,7 +11,7 @@ import pandas as pd
 
 from hrl_comfort.analysis.episodes import success
 from hrl_comfort.analysis.tables import cell, levels, markdown
-from hrl_comfort.benchmarks import entries, env, returns, throughput, tops, train, update
+from hrl_comfort.benchmarks import entries, env, learners, returns, throughput, tops, train, update
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.results.manifest import REFERENCE
 
@@ -178,6 +178,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "grasps": of_rows(grasps),
     "hand cycles": of_rows(hand_cycles),
     "tops": of_rows(tops.table),
+    "learners": of_rows(learners.table),
     "csv": of_rows(as_it_is),
 }
 """Makers of tables by the name that a page marks them with."""
