@@ -51,6 +51,7 @@ JUDGED = 12
 RULE = "due"
 """The rule that others are compared with, beside the oracle."""
 FIXED, LEARNED = "fixed", "learned"
+"""Kinds of tops; a learned one is shown by the name of its learner."""
 TERMS = {
     "return": "return",
     "place": "orders filled",
@@ -63,22 +64,23 @@ The regret is the sum of that of each choice (`hierarchy.oracle`), empty where n
 
 
 def measure(config: EvaluateConfig, shifts: int, learned: Sequence[Path] = ()) -> DataFrame:
-    """Return a row for each top and shift, of a learned one with its training seed.
+    """Return a row for each top and shift, of a learned one by its learner and with its training seed.
 
     Fixed orders, and then all others that are shown, work side by side.
     """
     entries = open_split(replace(config, episodes=shifts)).entries
     tried = _side_by_side(config, entries, [f"{FIXED} {' '.join(order)}" for order in orders(config.cell)])
     best = str(tried.groupby("top")["return"].mean().idxmax())
-    names = {f"{LEARNED} {folder}": seed_of(folder) for folder in learned}
+    names = {f"{LEARNED} {folder}": learner_and_seed(folder) for folder in learned}
     working = [*RULES, best, *names]
     shown = _side_by_side(config, entries, [IDLE, *working]).drop(columns="regret")
     judged = _side_by_side(config, entries.at(np.arange(min(shifts, JUDGED))), working, judged=True)
     shown = shown.merge(judged[["top", "shift", "regret"]], how="left")
     oracle = _side_by_side(config, entries, [ORACLE]).assign(regret=0.0)
     rows = pd.concat([shown, tried[tried["top"] != best], oracle], ignore_index=True)
-    seeds = rows["top"].map(names)
-    return rows.assign(top=rows["top"].where(seeds.isna(), LEARNED), seed=seeds.astype("Int64"))
+    told = [names.get(name, (name, pd.NA)) for name in rows["top"]]
+    learners, seeds = zip(*told, strict=True)
+    return rows.assign(top=learners, seed=pd.array(seeds, dtype="Int64"))
 
 
 def _side_by_side(config: EvaluateConfig, entries: EvaluationSet, names: list[str], judged: bool = False) -> DataFrame:
@@ -162,14 +164,14 @@ def table(rows: DataFrame) -> str:
     return markdown(["choice", *TERMS.values(), *(f"above `{each}`" for each in beside)], lines)
 
 
-def seed_of(folder: Path) -> int:
-    """Return the seed of the training of a top in its run folder."""
+def learner_and_seed(folder: Path) -> tuple[str, int]:
+    """Return the name of the learner of a top in its run folder, and the seed of its training."""
     config = load_config(folder)
     if not isinstance(config, MetaControllerTrainConfig):
         raise ConfigError(
             f"learned={folder} is no training of a top; give folders of hrl-comfort train meta_controller"
         )
-    return config.train_seed
+    return config.meta_controller_agent.name, config.train_seed
 
 
 def found(pattern: str) -> list[Path]:

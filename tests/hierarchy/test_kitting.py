@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -11,7 +12,7 @@ import torch
 
 from hrl_comfort.benchmarks import tops as choice
 from hrl_comfort.composition.compose import compose
-from hrl_comfort.config import ConfigError, EvaluateConfig
+from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerTrainConfig
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy import oracle as looking
@@ -25,6 +26,7 @@ from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.objects import renewed
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.kitting import KITTING, fetched, missed
+from hrl_comfort.training.controller_trainer import train_meta_controller
 
 CELLS = {"bench": "ur3e", "station": "ur10e"}
 
@@ -34,6 +36,18 @@ def kitting(*words: str, cell: str = "bench") -> EvaluateConfig:
     found = compose("evaluate", [*choice.WORDS, *here, *words])
     assert isinstance(found, EvaluateConfig)
     return found
+
+
+def trained(folder: Path, learner: str, seed: int) -> Path:
+    """Return the run folder of a top that has learned from a few choices."""
+    words = [word for word in choice.WORDS if not word.startswith(("split=", "meta_controller="))]
+    agent = ["options=4", "warmup_options=0", f"name={learner}", "observation=jobs", "log_every=4"]
+    config = compose("train_meta_controller", [
+        *words, *(f"meta_controller_agent.{word}" for word in agent), "cell=bench", "disturbance=none",
+        "engine.num_envs=2", f"train_seed={seed}", f"output={folder}",
+    ])  # fmt: skip
+    assert isinstance(config, MetaControllerTrainConfig)
+    return train_meta_controller(config)
 
 
 def made(config: EvaluateConfig, rows: int) -> tuple[Engine, OptionExecutor, State]:
@@ -217,25 +231,30 @@ def test_the_table_tells_the_best_fixed_order_and_how_far_it_is_from_a_rule_and_
     same = {"place": 1.0, "missed": 0.0, "comfort": 0.0, "regret": 0.0}
     rows = pd.DataFrame([{"top": top, "return": paid, "shift": shift, "seed": None} for top, shift, paid in shifts])
     learned = pd.DataFrame([
-        {"top": "learned", "return": 4.5 + seed + (shift - 1) / 10, "shift": shift, "seed": seed}
+        {"top": "dqn", "return": 4.5 + seed + (shift - 1) / 10, "shift": shift, "seed": seed}
         for seed in (0, 1) for shift in range(3)
     ])  # fmt: skip
     lines = choice.table(pd.concat([rows, learned]).assign(**same)).splitlines()
-    assert [line.split("`")[1] for line in lines[2:]] == ["random", "due", "fixed b a", "oracle", "learned"]
+    assert [line.split("`")[1] for line in lines[2:]] == ["random", "due", "fixed b a", "oracle", "dqn"]
     assert lines[4].endswith("| 1.00 | -1.00 |") and "4.00 [3.75, 4.25]" in lines[4]
     assert "5.00 [-1.35, 11.35]" in lines[6], "over the training seeds"
 
 
 def test_all_that_work_but_fixed_orders_that_are_not_the_best_are_told_their_regret(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(looking, "HORIZON_S", 2.0)
-    rows = choice.measure(kitting("task.max_episode_steps=400"), 2)
+    learned = [trained(tmp_path / f"{name}_{seed}", name, seed) for name, seed in (("dqn", 3), ("dqn", 4), ("ppo", 3))]
+    everything = choice.measure(kitting("task.max_episode_steps=400"), 2, learned)
+    rows = everything[everything["seed"].isna()]
+    assert everything.groupby(["top", "seed"])["shift"].count().to_dict() == {
+        ("dqn", 3): 2, ("dqn", 4): 2, ("ppo", 3): 2
+    }  # fmt: skip
     best = max(
         (name for name in rows["top"] if "fixed" in name), key=lambda name: rows[rows["top"] == name]["return"].sum()
     )
     shown = ["idle", *choice.RULES, best, "oracle"]
-    assert set(rows[rows["regret"].notna()]["top"]) == {*shown} - {"idle"}
+    assert set(rows[rows["regret"].notna()]["top"]) == {*shown} - {"idle"} and not (everything["regret"] < 0).any()
     of = rows.set_index("top")
     assert (of.loc[shown[1:], "regret"] >= 0).all() and (of.loc["oracle", "regret"] == 0).all()
     assert (of.loc["idle", "place"] == 0).all() and of.loc["random", "regret"].max() > 0
