@@ -230,8 +230,9 @@ class GraspingExpert(Expert):
         return Step(CLOSED, self._move(state, row, place, fit @ turn))
 
     def _retreat(self, state: State, row: int) -> Step:
+        """Return the next step of an open hand straight up: its pads stay beside what lies between them."""
         at, turn = self._grasps.pose(state.joint_target[row].numpy())
-        return Step(OPEN, self._move(state, row, at - SPEED_M_S * self._decision_s * turn[:, 2], turn))
+        return Step(OPEN, self._move(state, row, at + SPEED_M_S * self._decision_s * UP, turn))
 
     def _move(self, state: State, row: int, place: Array, turn: Array) -> Array:
         """Return joint increments (J,) rad that bring the tool to `place` (3,) m with axes `turn` (3, 3)."""

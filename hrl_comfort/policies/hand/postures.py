@@ -16,7 +16,7 @@ LIBRARY = 40_000
 """Random postures, of which those that point the hand down seed inverse kinematics."""
 DOWNWARD = 0.5
 """Least cosine of the angle between the tools of these and straight down."""
-SEEDS = 3
+SEEDS = 5
 """Seeds for each orientation of the tool."""
 NEAR_M = 0.10
 """Distance of their tools from the goal, once the pan is turned, up to which postures are seeds."""
