@@ -22,9 +22,9 @@ PICTURES = (".png", ".gif", ".svg", ".jpg", ".mp4", ".csv", ".json", ".parquet",
 MEASURING = (
     *(f"hrl_comfort/{name}" for name in ("agents", "comfort", "composition", "config", "envs", "evaluation",
                                          "hierarchy", "humans", "policies", "safety", "scene", "sim", "tasks")),
-    "conf", ":!conf/experiment", ":!hrl_comfort/scene/looks",
+    "conf", ":!conf/experiment", ":!hrl_comfort/scene/looks", ":!hrl_comfort/policies/hand",
 )  # fmt: skip
-"""Files that decide an evaluation of given policies, as pathspecs of git."""
+"""Files that decide an evaluation of given policies, none of them a scripted hand, as pathspecs of git."""
 
 
 class Entry(BaseModel):
