@@ -1,7 +1,7 @@
 """Which learner of skills learns most in the same time of a core? Success after equal minutes, with a hand that holds.
 
-`python -m hrl_comfort.benchmarks.learners FILE.csv MINUTES SEEDS WORDS…` measures it; the words are those of
-`hrl-comfort train`. Trainings that are in the file already are not run again.
+`python -m hrl_comfort.benchmarks.learners FILE.csv MINUTES SEEDS` measures it. Trainings that are in the file are not
+run again.
 """
 
 from __future__ import annotations
@@ -9,10 +9,12 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import torch
 from pandas import DataFrame, Series
@@ -37,49 +39,61 @@ WORDS = (
 )  # fmt: skip
 """The world and the demonstrations of the experiment `grasp`, on its table, in words of `train`."""
 TASKS = ("pick", "place", "return")
-LEARNERS = {"sac": (), "tqc": (), "crossq": (), "redq": ("agent.updates_per_policy_step=1",)}
+LEARNERS = {"sac": [], "tqc": [], "crossq": [], "redq": ["agent.updates_per_policy_step=1"]}
 """Learners, and what sets one apart beside its name and the defaults of its own keys."""
 EPISODES = ("split=validation", "episodes=200", "task.max_episode_steps=1000")
 """The evaluation of a skill, in words of `evaluate`."""
-COLUMNS = ("minutes", "task", "learner", "seed", "policy_steps", "success")
+COLUMNS = ("asked_min", "task", "learner", "seed", "policy_steps", "minutes", "success")
+"""`minutes` are those that a training took of a core: near to those asked for, if not the same."""
+SPENT = {"minutes": 2, "policy_steps": 0}
+"""What a training costs, and the digits that the table gives."""
 PACE_STEPS, PACE_ROUNDS = 2560, 3
 """Policy steps in which the pace of a learner is measured, and how often: the learners take turns."""
 
 
-def measure(path: Path, minutes: float, seeds: int, words: Sequence[str] = ()) -> DataFrame:
-    """Write and return a row for each task, learner and seed: its policy steps in `minutes`, and its success.
+def measure(path: Path, minutes: float, seeds: int) -> DataFrame:
+    """Write and return a row for each task, learner and seed.
 
-    The policy steps are those of a task and learner at the pace measured before its first seed, so that schedules know
-    their ends.
+    Schedules need their ends before they begin, so a training has a number of policy steps: what `minutes` are worth at
+    the pace of the seeds before it, of the first at a pace that is measured.
 
     Raises:
-      ConfigError: the file is not of this command, or of other minutes.
+      ConfigError: the file is not of this command, or of other minutes, or there is nothing to measure.
     """
-    done = read_table(path)
-    if done is not None and (tuple(done) != COLUMNS or set(done["minutes"]) != {minutes}):
-        raise ConfigError(f"{path} is there already, and not of this command with {minutes:g} minutes; choose another")
-    rows = [] if done is None else done.to_dict("records")
+    if not (minutes > 0 and seeds > 0):
+        raise ConfigError(f"{minutes:g} minutes and {seeds} seeds: both must be above 0")
+    rows: list[dict[Hashable, Any]] = []
     with held_folder(path.parent):
-        for seed in range(seeds):
-            for task in TASKS:
-                there = {row["learner"]: row for row in rows if row["task"] == task}
-                steps = {name: int(row["policy_steps"]) for name, row in there.items()}
-                if new := [name for name in LEARNERS if name not in steps]:
-                    found = paces({name: config_of(task, name, seed, words) for name in new})
-                    steps |= {name: round(60 * minutes * pace) for name, pace in found.items()}
-                for name in LEARNERS:
-                    if any(row["seed"] == seed for row in rows if (row["task"], row["learner"]) == (task, name)):
-                        continue
-                    share = success_of(config_of(task, name, seed, [*words, f"agent.policy_steps={steps[name]}"]))
-                    rows.append(dict(zip(COLUMNS, (minutes, task, name, seed, steps[name], share), strict=True)))
-                    write_table(path, COLUMNS, (row.values() for row in rows))
+        if (done := read_table(path)) is not None:
+            if tuple(done) != COLUMNS or set(done["asked_min"]) != {minutes}:
+                raise ConfigError(f"{path} is there already, and not of {minutes:g} minutes; choose another file")
+            rows = done.to_dict("records")
+        for seed, task in product(range(seeds), TASKS):
+            steps = steps_of(task, minutes, [row for row in rows if row["task"] == task], seed)
+            ready = {row["learner"] for row in rows if (row["task"], row["seed"]) == (task, seed)}
+            for name in [name for name in LEARNERS if name not in ready]:
+                took, share = trained(config_of(task, name, seed, steps[name]))
+                rows.append(dict(zip(COLUMNS, (minutes, task, name, seed, steps[name], took, share), strict=True)))
+                write_table(path, COLUMNS, (row.values() for row in rows))
     return DataFrame(rows, columns=list(COLUMNS))
 
 
-def config_of(task: str, learner: str, seed: int, words: Sequence[str]) -> TrainConfig:
+def steps_of(task: str, minutes: float, rows: list[dict[Hashable, Any]], seed: int) -> dict[str, int]:
+    """Return the policy steps of each learner in `minutes` of a core, by the `rows` of the task or a pace of now."""
+    spent = {name: [row for row in rows if row["learner"] == name] for name in LEARNERS}
+    new = {name: config_of(task, name, seed) for name, mine in spent.items() if not mine}
+    per_s = paces(new) if new else {}
+    for name in spent.keys() - new.keys():
+        policy_steps, took = (sum(row[key] for row in spent[name]) for key in ("policy_steps", "minutes"))
+        per_s[name] = policy_steps / took / 60
+    return {name: round(60 * minutes * pace) for name, pace in per_s.items()}
+
+
+def config_of(task: str, learner: str, seed: int, policy_steps: int | None = None) -> TrainConfig:
     """Return the training of a learner in a task."""
-    own = (f"task={task}", f"agent.name={learner}", *LEARNERS[learner], f"train_seed={seed}", f"episode_seed={seed}")
-    config = compose("train", [*WORDS, *own, "output=unused", *words])
+    own = [f"task={task}", f"agent.name={learner}", *LEARNERS[learner], f"train_seed={seed}", f"episode_seed={seed}"]
+    steps = [] if policy_steps is None else [f"agent.policy_steps={policy_steps}"]
+    config = compose("train", [*WORDS, *own, *steps, "output=unused"])
     assert isinstance(config, TrainConfig)
     return config
 
@@ -96,47 +110,53 @@ def paces(configs: dict[str, TrainConfig], clock: Callable[[], float] = time.pro
         for turn in range(-1, PACE_ROUNDS):  # the first begins to learn, and does not count
             for name, training in trainings.items():
                 began = clock()
-                _step(training, PACE_STEPS if turn >= 0 else training.config.agent.learning_starts + PACE_STEPS)
+                steps = _step(training, PACE_STEPS if turn >= 0 else training.config.agent.learning_starts + PACE_STEPS)
                 if turn >= 0:
-                    seconds[name].append(clock() - began)
-    return {name: PACE_STEPS / float(Series(each).median()) for name, each in seconds.items()}
+                    seconds[name].append((clock() - began) / steps)
+    return {name: 1 / float(Series(each).median()) for name, each in seconds.items()}
 
 
-def _step(training: Training, policy_steps: int) -> None:
-    end = training.steps + policy_steps
-    while training.steps < end:
+def _step(training: Training, policy_steps: int) -> int:
+    """Make so many policy steps or just more, and return their number."""
+    began = training.steps
+    while training.steps < began + policy_steps:
         training.step()
+    return training.steps - began
 
 
-def success_of(config: TrainConfig) -> float:
-    """Return the success share of a training's policy in EPISODES."""
+def trained(config: TrainConfig) -> tuple[float, float]:
+    """Return the minutes of a core that a training takes, and the success share of its policy in EPISODES."""
     with tempfile.TemporaryDirectory() as folder:
+        began = time.process_time()
         run = train(replace(config, output=str(Path(folder) / "run")))
+        minutes = (time.process_time() - began) / 60
         asked = compose("evaluate", [f"policy={run}", *EPISODES, f"output={folder}/unused"])
         assert isinstance(asked, EvaluateConfig)
-        return float(rollout(asked).table["success"].mean())
+        return round(minutes, 3), float(rollout(asked).table["success"].mean())
 
 
 def table(rows: DataFrame) -> str:
     """Return the success of each learner in each task as Markdown, with intervals over seeds."""
-    lines = []
-    for (minutes, name), mine in rows.groupby(["minutes", "learner"], sort=False):
-        of = {task: mine[mine["task"] == task] for task in rows["task"].unique()}
-        shares = (
-            cell(Clusters.of_runs(len(each)).estimate(each["success"].to_numpy(float), bounds=SHARE), 100)
-            for each in of.values()
-        )
-        steps = " / ".join(f"{each['policy_steps'].iloc[0]:,}" for each in of.values())
-        lines.append([f"`{name}`", f"{minutes:g}", steps, str(mine["seed"].nunique()), *shares])
-    heads = [f"{task}: success, %" for task in rows["task"].unique()]
-    return markdown(["learner", "minutes", "policy steps", "seeds", *heads], lines)
+    tasks, lines = rows["task"].unique(), []
+    for name, mine in rows.groupby("learner", sort=False):
+        of = [mine[mine["task"] == task] for task in tasks]
+        shares = (Clusters.of_runs(len(each)).estimate(each["success"].to_numpy(float), bounds=SHARE) for each in of)
+        spent = (" / ".join(f"{each[key].mean():,.{digits}f}" for each in of) for key, digits in SPENT.items())
+        lines.append([f"`{name}`", str(mine["seed"].nunique()), *spent, *(cell(share, 100) for share in shares)])
+    spent_on = " / ".join(tasks)
+    heads = [
+        f"minutes of a core ({spent_on})",
+        f"policy steps ({spent_on})",
+        *(f"{task}: success, %" for task in tasks),
+    ]
+    return markdown(["learner", "seeds", *heads], lines)
 
 
 def main(words: Sequence[str]) -> None:
     """Measure, and print the table."""
     torch.set_num_threads(1)
-    path, minutes, seeds, *asked = words
-    print(table(measure(Path(path), float(minutes), int(seeds), asked)))
+    path, minutes, seeds = words
+    print(table(measure(Path(path), float(minutes), int(seeds))))
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
 In some shifts the oracle judges the choices of all but an idle arm and fixed orders that are not the best.
 
-`python -m hrl_comfort.benchmarks.tops FILE.csv SHIFTS [learned=PATTERN] WORDS…` measures them, and the learned tops
-whose run folders match the pattern; the words, those of `hrl-comfort evaluate`, come after WORDS.
+`python -m hrl_comfort.benchmarks.tops FILE.csv SHIFTS [learned=PATTERN…] WORDS…` measures them, and the learned tops
+whose run folders match the patterns; the words, those of `hrl-comfort evaluate`, come after WORDS.
 """
 
 from __future__ import annotations
@@ -71,15 +71,14 @@ def measure(config: EvaluateConfig, shifts: int, learned: Sequence[Path] = ()) -
     entries = open_split(replace(config, episodes=shifts)).entries
     tried = _side_by_side(config, entries, [f"{FIXED} {' '.join(order)}" for order in orders(config.cell)])
     best = str(tried.groupby("top")["return"].mean().idxmax())
-    names = {f"{LEARNED} {folder}": learner_and_seed(folder) for folder in learned}
+    names = {f"{LEARNED} {folder}": told for folder, told in learners_and_seeds(learned).items()}
     working = [*RULES, best, *names]
     shown = _side_by_side(config, entries, [IDLE, *working]).drop(columns="regret")
     judged = _side_by_side(config, entries.at(np.arange(min(shifts, JUDGED))), working, judged=True)
     shown = shown.merge(judged[["top", "shift", "regret"]], how="left")
     oracle = _side_by_side(config, entries, [ORACLE]).assign(regret=0.0)
     rows = pd.concat([shown, tried[tried["top"] != best], oracle], ignore_index=True)
-    told = [names.get(name, (name, pd.NA)) for name in rows["top"]]
-    learners, seeds = zip(*told, strict=True)
+    learners, seeds = zip(*(names.get(name, (name, pd.NA)) for name in rows["top"]), strict=True)
     return rows.assign(top=learners, seed=pd.array(seeds, dtype="Int64"))
 
 
@@ -164,14 +163,26 @@ def table(rows: DataFrame) -> str:
     return markdown(["choice", *TERMS.values(), *(f"above `{each}`" for each in beside)], lines)
 
 
-def learner_and_seed(folder: Path) -> tuple[str, int]:
-    """Return the name of the learner of a top in its run folder, and the seed of its training."""
-    config = load_config(folder)
-    if not isinstance(config, MetaControllerTrainConfig):
-        raise ConfigError(
-            f"learned={folder} is no training of a top; give folders of hrl-comfort train meta_controller"
-        )
-    return config.meta_controller_agent.name, config.train_seed
+def learners_and_seeds(folders: Sequence[Path]) -> dict[Path, tuple[str, int]]:
+    """Return the learner of the top in each run folder, by its name, and the seed of the training.
+
+    Raises:
+      ConfigError: a folder is no training of a top, or two have the same learner and seed.
+    """
+    found: dict[Path, tuple[str, int]] = {}
+    for folder in folders:
+        config = load_config(folder)
+        if not isinstance(config, MetaControllerTrainConfig):
+            raise ConfigError(
+                f"learned={folder} is no training of a top; give folders of hrl-comfort train meta_controller"
+            )
+        told = config.meta_controller_agent.name, config.train_seed
+        if told in found.values():
+            raise ConfigError(
+                f"learned={folder}: another folder has a {told[0]} of train_seed={told[1]}; give one of them"
+            )
+        found[folder] = told
+    return found
 
 
 def found(pattern: str) -> list[Path]:

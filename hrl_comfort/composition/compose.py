@@ -179,7 +179,8 @@ def _with_sections(root: str, run: EnvConfig, overrides: list[str]) -> list[str]
     chosen file sets. A chosen cell takes nothing of the cell of the run, another robot nothing of OF_ONE_ARM.
     """
     chosen, trained = {parse(line).key_or_group: parse(line).value() for line in overrides}, []
-    left = OF_ONE_ARM if chosen.get("robot", run.robot.name) != run.robot.name else ()
+    robot = chosen.get("robot.name", chosen.get("robot", run.robot.name))
+    left = () if robot == run.robot.name else OF_ONE_ARM
     for part in AS_TRAINED[root]:
         stated, group = set[str](), part.split(".")[0]
         own: Any = {}

@@ -2,57 +2,83 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from hrl_comfort.benchmarks import learners
-from hrl_comfort.config import ConfigError, TrainConfig
+from hrl_comfort.composition.compose import compose
+from hrl_comfort.config import ConfigError, HierarchyTrainConfig, TrainConfig
+from hrl_comfort.training.trainer import Training
 
 SMALL = (
-    "human=none", "safety=none", "agent.hidden=[8,8]", "agent.batch_size=8", "agent.buffer_size=2000",
+    *learners.WORDS, "human=none", "safety=none", "agent.hidden=[8,8]", "agent.batch_size=8", "agent.buffer_size=2000",
     "agent.learning_starts=16", "engine.num_envs=4", "agent.demonstrator=null", "agent.demonstrator_envs=0",
     "agent.demonstrator_takeover=1", "robot.rating=full", "task.terminate_on=contact",
 )  # fmt: skip
 
 
 def test_each_trains_for_the_steps_of_its_own_pace_and_no_seed_twice(tmp_path: Path, monkeypatch) -> None:
-    trained: list[tuple[str, str, int, int]] = []
+    runs: list[tuple[str, str, int, int]] = []
 
-    def success_of(config: TrainConfig) -> float:
+    def trained(config: TrainConfig) -> tuple[float, float]:
         agent = config.agent
-        trained.append((config.task.name, agent.name, config.train_seed, agent.policy_steps))
-        return 0.5 + config.train_seed / 10
+        runs.append((config.task.name, agent.name, config.train_seed, agent.policy_steps))
+        return 4.0, 0.5 + config.train_seed / 10
 
-    monkeypatch.setattr(learners, "success_of", success_of)
+    monkeypatch.setattr(learners, "trained", trained)
     monkeypatch.setattr(learners, "paces", lambda of: {name: 10.0 * len(name) for name in of})
     path = tmp_path / "learners.csv"
     first = learners.measure(path, 2, 1)
-    assert len(first) == len(trained) == len(learners.TASKS) * len(learners.LEARNERS)
-    assert ("pick", "redq", 0, 4800) in trained and ("place", "sac", 0, 3600) in trained
+    assert len(first) == len(runs) == len(learners.TASKS) * len(learners.LEARNERS)
+    assert ("pick", "redq", 0, 4800) in runs and ("place", "sac", 0, 3600) in runs
     monkeypatch.setattr(learners, "paces", lambda of: pytest.fail("measured again"))
     rows = learners.measure(path, 2, 2)
-    assert len(rows) == len(trained) == 2 * len(first) and {seed for *_, seed, _ in trained[len(first) :]} == {1}
-    assert rows.groupby(["task", "learner"])["policy_steps"].nunique().eq(1).all()
+    assert len(rows) == len(runs) == 2 * len(first) and {seed for *_, seed, _ in runs[len(first) :]} == {1}
+    assert ("pick", "redq", 1, 2400) in runs, "the first took twice the time"
     lines = learners.table(pd.read_csv(path)).splitlines()
-    assert lines[2].startswith("| `sac` | 2 | 3,600 / 3,600 / 3,600 | 2 | 55.0 [")
-    with pytest.raises(ConfigError, match=r"not of this command with 3 minutes; choose another$"):
+    assert lines[2].startswith("| `sac` | 2 | 4.00 / 4.00 / 4.00 | 2,700 / 2,700 / 2,700 | 55.0 [")
+    with pytest.raises(ConfigError, match=r"not of 3 minutes; choose another file$"):
         learners.measure(path, 3, 2)
+    with pytest.raises(ConfigError, match=r"^0 minutes and 2 seeds: both must be above 0$"):
+        learners.measure(path, 0, 2)
 
 
-def test_all_have_the_demonstrations_of_the_experiment_and_redq_its_many_updates() -> None:
-    made = {name: learners.config_of("pick", name, 3, ()) for name in learners.LEARNERS}
-    assert {config.agent.demonstrator for config in made.values()} == {"expert"}
-    assert {(config.train_seed, config.episode_seed) for config in made.values()} == {(3, 3)}
-    updates = {name: config.agent.updates_per_policy_step for name, config in made.items()}
-    assert updates == {"sac": 0.25, "tqc": 0.25, "crossq": 0.25, "redq": 1}
+def test_all_learn_in_the_world_and_from_the_demonstrations_of_the_experiment_and_redq_with_its_many_updates() -> None:
+    made = {name: learners.config_of("pick", name, 3, 500) for name in learners.LEARNERS}
+    like = compose("train_hierarchy", ["experiment=grasp", "cell=grasp", "output=unused"])
+    assert isinstance(like, HierarchyTrainConfig)
+    updates = {"sac": 0.25, "tqc": 0.25, "crossq": 0.25, "redq": 1}
+    for name, config in made.items():
+        own = {"name": name, "own": config.agent.own, "policy_steps": 500, "log_every": config.agent.log_every}
+        assert config.agent == replace(like.agent, **own, updates_per_policy_step=updates[name])
+        assert (config.human, config.safety, config.reward) == (like.human, like.safety, like.reward)
+        assert (config.train_seed, config.episode_seed) == (3, 3)
 
 
-def test_a_pace_is_taken_while_a_learner_learns_and_a_policy_is_evaluated_on_validation(monkeypatch) -> None:
-    monkeypatch.setattr(learners, "PACE_STEPS", 8)
-    monkeypatch.setattr(learners, "EPISODES", ("split=validation", "episodes=2", "task.max_episode_steps=20"))
-    configs = {name: learners.config_of("pick", name, 0, SMALL) for name in ("sac", "redq")}
+def test_a_pace_is_taken_while_a_learner_learns(monkeypatch) -> None:
+    monkeypatch.setattr(learners, "PACE_STEPS", 16)
+    monkeypatch.setattr(learners, "WORDS", SMALL)
+    updates: list[int] = []
+    learn = Training.learn
+
+    def counted(training: Training) -> None:
+        learn(training)
+        updates.append(training.updates)
+
+    monkeypatch.setattr(Training, "learn", counted)
     now = iter(range(100))
-    assert learners.paces(configs, clock=lambda: float(next(now))) == {"sac": 8.0, "redq": 8.0}
-    assert 0 <= learners.success_of(learners.config_of("pick", "sac", 0, (*SMALL, "agent.policy_steps=32"))) <= 1
+    found = learners.paces(
+        {name: learners.config_of("pick", name, 0) for name in ("sac", "redq")}, lambda: float(next(now))
+    )
+    assert found == {"sac": 16.0, "redq": 16.0} and max(updates) > 16
+
+
+def test_a_policy_is_evaluated_on_validation_after_the_minutes_that_it_took(monkeypatch) -> None:
+    assert "split=validation" in learners.EPISODES
+    monkeypatch.setattr(learners, "EPISODES", ("split=validation", "episodes=2", "task.max_episode_steps=20"))
+    monkeypatch.setattr(learners, "WORDS", SMALL)
+    minutes, share = learners.trained(learners.config_of("pick", "sac", 0, 32))
+    assert 0 < minutes < 10 and share in (0.0, 0.5, 1.0)

@@ -87,6 +87,9 @@ def test_another_robot_has_its_own_home_and_end_effector_and_the_rating_of_the_r
     )
     (tmp_path / "policy.pt").touch()
     trained = f"policies.pick='{tmp_path}'"
-    same, other = (compose_environment(root, [trained, f"robot={name}"]).robot for name in ("ur3e", "ur5e"))
-    assert (same.home_deg, same.rating, other.name, other.rating) == (home, "full", "ur5e", "full")
-    assert other.home_deg == compose_environment("train", ["robot=ur5e"]).robot.home_deg
+    same = compose_environment(root, [trained, "robot=ur3e"]).robot
+    assert (same.home_deg, same.rating) == (home, "full")
+    for word in ("robot=ur5e", "robot.name=ur5e"):
+        other = compose_environment(root, [trained, word]).robot
+        assert (other.name, other.rating) == ("ur5e", "full")
+        assert other.home_deg == compose_environment("train", ["robot=ur5e"]).robot.home_deg

@@ -110,3 +110,17 @@ def test_an_object_is_carried_at_up_to_a_metre_a_second_however_far_the_way_is()
         fastest = max(fastest, float(np.where(carried, speed, 0.0).max()))
         placed += int((result.success.numpy() & going).sum())
     assert placed == 5 and fastest < 1.4 * CARRY_M_S
+
+
+def test_a_hand_leaves_what_it_has_put_down_straight_up_however_it_is_tilted() -> None:
+    """Along its tool it would come to its own base, where objects belong close to it."""
+    config = cell("task=pick_place", "robot=ur10e", "task.object=cube", "task.object_jitter_m=0.07", "human=none")
+    left, ways = np.full((10, 3), np.nan), np.zeros((10, 2))
+    for going, result in decisions(config, 10, 4):
+        state = result.state
+        tool, open_ = state.tcp_pos.numpy(), (~state.pads[:, 0].any(-1) & (state.stage == 1)).numpy() & going
+        left = np.where((open_ & np.isnan(left[:, 0]))[:, None], tool, left)
+        way = tool - left
+        ways = np.where(open_[:, None], [*zip(np.hypot(way[:, 0], way[:, 1]), way[:, 2], strict=True)], ways)
+    level, up = ways.T
+    assert result.success.any() and (up > 0.04).all() and (level < 0.01).all()
