@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,13 +17,13 @@ from hrl_comfort.config import ConfigError
 from hrl_comfort.files.documents import read_json
 
 X, Y, PERSON = "objects_per_min", "avoidable_discomfort_per_min", "person_rating_mean"
-BEYOND = "more work or less than any of them"
 
 
-def of_a_told_robot(part: str, folder: Path, fixed: Path) -> str:
-    """Return a fitted person's rating beside a robot that is told of it, and beside fixed levels as productive.
+def of_a_told_robot(part: str, folder: Path, fixed: Path, idle: Path) -> str:
+    """Return a fitted person's rating of a robot that is told of it, and of fixed levels as productive.
 
-    The latter is the best mix of the levels of `fixed` with as much work, for each training seed.
+    The latter is the best mix of the levels of `fixed` and the rest of `idle` with as much work, for each training
+    seed. A seed that does more work than every level rests for a part of the time.
 
     Raises:
       ConfigError: an entry is damaged, or the folders have no seed in common or other policies for it.
@@ -33,12 +32,12 @@ def of_a_told_robot(part: str, folder: Path, fixed: Path) -> str:
     for told, untold in zip(own, others, strict=True):
         if told.get("policies") != untold.get("policies"):
             raise ConfigError(f"{folder} and {fixed}: {told['policy']!r} and {untold['policy']!r} are other policies")
-    told_points = [at_level(points(entry, part, PERSON), None, folder) for entry in own]
-    fixed_points = [[*points(entry, part, PERSON).values()] for entry in others]
-    line = cells(beside_mixes(told_points, fixed_points, max))
-    return markdown(
-        [WORK[part], "rating (1 to 7), level from the person", "at fixed levels", "difference"], [line[:-1]]
-    )
+    at_rest = float(np.mean([each for _, each in points(read_json(idle / FILE, Entry), part, PERSON).values()]))
+    found = [at_level(points(entry, part, PERSON), None, folder) for entry in own]
+    mixed = [[(0.0, at_rest), *points(entry, part, PERSON).values()] for entry in others]
+    line = [_work(found), *cells(beside_mixes(found, mixed, max, at_rest))[:-1]]
+    heads = ["rating there (1 to 7), level from the person", "of the best mix of fixed levels", "difference"]
+    return markdown([WORK[part], "compared at", *heads], [line])
 
 
 def of_rivals(part: str, folder: Path, rivals: Sequence[Path]) -> str:
@@ -61,17 +60,23 @@ def of_rivals(part: str, folder: Path, rivals: Sequence[Path]) -> str:
     for level in mine[seeds[0]]:
         mixed = [[IDLE, *(at_level(each, level, folder) for each in theirs[seed])] for seed in seeds]
         found = [at_level(mine[seed], level, folder) for seed in seeds]
-        work = cell(Clusters.of_runs(len(seeds)).estimate(np.array([each for each, _ in found])), digits=2)
-        rested = [resting(each, max(most for most, _ in points)) for each, points in zip(found, mixed, strict=True)]
-        lines.append([str(level), work, *cells(beside_mixes(rested, mixed, min))])
+        lines.append([str(level), _work(found), *cells(beside_mixes(found, mixed, min))])
     heads = ["avoidable discomfort there, s a minute", "of the best mix of rivals", "difference", "difference, %"]
     return markdown(["level", WORK[part], "compared at", *heads], lines)
 
 
-def resting(point: tuple[float, float], most: float) -> tuple[float, float]:
-    """Return the throughput and avoidable discomfort of a policy that rests until it does no more work than `most`."""
+def _work(found: Points) -> str:
+    """Return the cell of the throughput of n seeds."""
+    return cell(Clusters.of_runs(len(found)).estimate(np.array([each for each, _ in found])), digits=2)
+
+
+def resting(point: tuple[float, float], most: float, at_rest: float = 0.0) -> tuple[float, float]:
+    """Return the throughput and another quantity of a policy that rests until it does no more work than `most`.
+
+    The quantity of an arm that rests is `at_rest`.
+    """
     share = min(1.0, most / point[0]) if point[0] else 1.0
-    return (min(point[0], most), share * point[1])
+    return (min(point[0], most), share * point[1] + (1 - share) * at_rest)
 
 
 def of_each_seed(folder: Path) -> dict[str | None, Entry]:
@@ -99,21 +104,23 @@ def at_level(found: Mapping[int | None, tuple[float, float]], level: int | None,
 
 
 def beside_mixes(
-    own: Points, others: Sequence[Points], best: Callable[[Iterable[float]], float]
+    own: Points, others: Sequence[Points], best: Callable[[Iterable[float]], float], at_rest: float = 0.0
 ) -> NDArray[np.float64]:
     """Return the throughput, the quantity, and that of the best mix of `others` as productive, of n seeds (n, 3).
 
-    The last is NaN where no mix does so much work.
+    A seed that does more work than all of its others, one of which is an idle arm, rests until it does as much.
     """
-    mixed = (best_mix(points, x, best) for (x, _), points in zip(own, others, strict=True))
-    return np.array([(*point, math.nan if mix is None else mix) for point, mix in zip(own, mixed, strict=True)])
+    rows = []
+    for point, points in zip(own, others, strict=True):
+        x, y = resting(point, max(most for most, _ in points), at_rest)
+        mixed = best_mix(points, x, best)
+        assert mixed is not None
+        rows.append((x, y, mixed))
+    return np.array(rows)
 
 
 def cells(rows: NDArray[np.float64]) -> list[str]:
     """Return the cells of a line: means (n, 3) of `beside_mixes` over seeds, and the difference, also in %."""
-    runs, (work, own, mix) = Clusters.of_runs(len(rows)), rows.T
-    shown = [cell(runs.estimate(each), digits=2) for each in (work, own)]
-    if beyond := int(np.isnan(mix).sum()):
-        return [*shown, f"{BEYOND}: {beyond} of {len(rows)} seeds", "–", "–"]
+    runs, (_, own, mix) = Clusters.of_runs(len(rows)), rows.T
     share = cell(runs.estimate(own / mix - 1), 100) if (mix > 0).all() else "–"
-    return [*shown, *(cell(runs.estimate(each), digits=2) for each in (mix, own - mix)), share]
+    return [*(cell(runs.estimate(each), digits=2) for each in (*rows.T, own - mix)), share]

@@ -135,14 +135,10 @@ def of_entries(asked: str) -> str:
     return entries.table(part, found)
 
 
-def of_two(table: Callable[[str, Path, Path], str]) -> Callable[[str], str]:
-    """Return what makes a table of a part and the two entries that it is given the names of."""
-
-    def make(asked: str) -> str:
-        part, one, other = asked.split()
-        return table(part, folder_of(one), folder_of(other))
-
-    return make
+def closed_loop(asked: str) -> str:
+    """Return what a level from the person is worth: the part, the entries that are told, at fixed levels, and idle."""
+    part, *names = asked.split()
+    return throughput.of_a_told_robot(part, *map(folder_of, names))
 
 
 def responses(asked: str) -> str:
@@ -168,7 +164,7 @@ KINDS: dict[str, Callable[[str], str]] = {
     "levels": of_json(levels),
     "entries": of_entries,
     "responses": responses,
-    "closed loop": of_two(throughput.of_a_told_robot),
+    "closed loop": closed_loop,
     "equal throughput": beside_rivals,
     "returns": returns_beside_rivals,
     "bench env": of_rows(env.table),

@@ -219,17 +219,17 @@ def test_levels_are_compared_with_each_other_seed_by_seed(tmp_path: Path) -> Non
 def test_a_person_beside_a_robot_that_is_told_is_compared_at_the_same_throughput(tmp_path: Path) -> None:
     fixed = write_seeds(tmp_path / "fixed", [[4.0, 10.0], [5.0, 12.0]])
     told = write_seeds(tmp_path / "told", [[7.0], [9.0]], mood=0.25, changed="fitted")
-    table = throughput.of_a_told_robot("shift", told, fixed)
-    assert cells_of(table)[0] == ["8.00 [-4.71, 20.71]", "6.25 [-0.10, 12.60]", "6.00 [-0.35, 12.35]", "0.25"]
+    idle = write_seeds(tmp_path / "idle", [[0.0]]) / "0"
+    (row,) = cells_of(throughput.of_a_told_robot("shift", told, fixed, idle))
+    assert row == [*["8.00 [-4.71, 20.71]"] * 2, "6.25 [-0.10, 12.60]", "6.00 [-0.35, 12.35]", "0.25"]
     assert [line[:2] for line in cells_of(entries.table("shift", [*entries.committed(tmp_path).values()]))][-1] == [
         "told, 2 seeds*",
         "–",
     ]
+    # A seed that does 14 rests for two sevenths of the time, rated 10 then, beside a level that does 10.
     fast = write_seeds(tmp_path / "fast", [[14.0], [6.0]], changed="fitted")
-    assert cells_of(throughput.of_a_told_robot("shift", fast, fixed))[0][2:] == [
-        f"{throughput.BEYOND}: 1 of 2 seeds",
-        "–",
-    ]
+    (row,) = cells_of(throughput.of_a_told_robot("shift", fast, fixed, idle))
+    assert [each.split()[0] for each in row] == ["10.00", "8.00", "6.00", "6.00", "0.00"]
 
 
 def test_an_entry_is_compared_with_the_best_mix_of_rivals_at_equal_throughput(tmp_path: Path) -> None:
@@ -252,7 +252,7 @@ def test_an_entry_is_compared_with_the_best_mix_of_rivals_at_equal_throughput(tm
     with pytest.raises(ConfigError, match=r"level 1 was not measured"):
         throughput.of_rivals("shift", ours, [short])
     with pytest.raises(ConfigError, match=r"the person's own level was not measured"):
-        throughput.of_a_told_robot("shift", ours, ours)
+        throughput.of_a_told_robot("shift", ours, ours, scripted)
 
 
 def test_a_return_is_compared_with_that_of_the_best_rival_at_each_level(tmp_path: Path) -> None:
