@@ -51,8 +51,6 @@ AS_TRAINED: dict[str, tuple[str, ...]] = {
     "train_meta_controller": ("robot", "cell", "human"),
 }
 """Sections and keys that take their defaults from the run of the given policy, by root."""
-OF_ONE_ARM = ("robot.home_deg", "robot.calibration", "robot.end_effector")
-"""Keys that another robot than that of the run does not take from it."""
 
 
 def compose(root: str, overrides: Iterable[str] = ()) -> CommandConfig:
@@ -176,11 +174,9 @@ def _with_sections(root: str, run: EnvConfig, overrides: list[str]) -> list[str]
     """Return `overrides` of `root` behind those that set its sections AS_TRAINED as in `run`.
 
     For a group chosen in `overrides`, keys that any file of the group sets are left out; of nested keys, those that the
-    chosen file sets. A chosen cell takes nothing of the cell of the run, another robot nothing of OF_ONE_ARM.
+    chosen file sets. A chosen cell takes nothing of the cell of the run.
     """
     chosen, trained = {parse(line).key_or_group: parse(line).value() for line in overrides}, []
-    robot = chosen.get("robot.name", chosen.get("robot", run.robot.name))
-    left = () if robot == run.robot.name else OF_ONE_ARM
     for part in AS_TRAINED[root]:
         stated, group = set[str](), part.split(".")[0]
         own: Any = {}
@@ -194,8 +190,7 @@ def _with_sections(root: str, run: EnvConfig, overrides: list[str]) -> list[str]
         for key, value in _fields(part, attrgetter(part)(run)):
             name, _, nested = key.partition(".")[2].partition(".")
             left_out = name in stated and (not nested or OmegaConf.select(own, f"{name}.{nested}") is not None)
-            left_out |= key in left or (key.startswith("robot.gripper.") and "gripper" in chosen)
-            if not left_out:
+            if not left_out and not (key.startswith("robot.gripper.") and "gripper" in chosen):
                 # Hydra would add the entries of a mapping to those of conf/.
                 trained += [override(key, None)] * isinstance(value, dict)
                 trained.append(override(key, value))

@@ -77,19 +77,3 @@ def test_a_chosen_cell_takes_nothing_of_the_cell_of_a_run_and_the_arm_follows_it
     found = compose_environment(root, [trained, chosen])
     assert found.cell == compose_environment("train", ["task=pick", chosen]).cell
     assert (found.robot.name, found.robot.gripper.name) == ("ur5e", "two_finger")
-
-
-@pytest.mark.parametrize("root", ["evaluate", "studio", "export", "train_meta_controller"])
-def test_another_robot_has_its_own_home_and_end_effector_and_the_rating_of_the_run(root: str, tmp_path: Path) -> None:
-    home = [0.0, -90.0, 90.0, 0.0, 90.0, 0.0]
-    save_config(
-        compose("train", ["task=pick", f"robot.home_deg={home}", "robot.rating=full"]), tmp_path / "config.yaml"
-    )
-    (tmp_path / "policy.pt").touch()
-    trained = f"policies.pick='{tmp_path}'"
-    same = compose_environment(root, [trained, "robot=ur3e"]).robot
-    assert (same.home_deg, same.rating) == (home, "full")
-    for word in ("robot=ur5e", "robot.name=ur5e"):
-        other = compose_environment(root, [trained, word]).robot
-        assert (other.name, other.rating) == ("ur5e", "full")
-        assert other.home_deg == compose_environment("train", ["robot=ur5e"]).robot.home_deg
