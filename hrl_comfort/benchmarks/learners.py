@@ -1,4 +1,4 @@
-"""Which learner of skills learns most in the same time of a core? Success after equal minutes, with a hand that holds.
+"""Success of the learners of skills after equal minutes of a core, with a hand that holds.
 
 `python -m hrl_comfort.benchmarks.learners FILE.csv MINUTES SEEDS` measures it. Trainings that are in the file are not
 run again.
@@ -46,7 +46,7 @@ EPISODES = ("split=validation", "episodes=200", "task.max_episode_steps=1000")
 COLUMNS = ("asked_min", "task", "learner", "seed", "policy_steps", "minutes", "success")
 """`minutes` are those that a training took of a core: near to those asked for, if not the same."""
 SPENT = {"minutes": 2, "policy_steps": 0}
-"""What a training costs, and the digits that the table gives."""
+"""Columns that tell the cost of a training, and the digits that the table gives."""
 PACE_STEPS, PACE_ROUNDS = 2560, 3
 """Policy steps in which the pace of a learner is measured, and how often: the learners take turns."""
 
@@ -79,7 +79,7 @@ def measure(path: Path, minutes: float, seeds: int) -> DataFrame:
 
 
 def steps_of(task: str, minutes: float, rows: list[dict[Hashable, Any]], seed: int) -> dict[str, int]:
-    """Return the policy steps of each learner in `minutes` of a core, by the `rows` of the task or a pace of now."""
+    """Return the policy steps of each learner in `minutes` of a core, by its `rows` of the task or else by `paces`."""
     spent = {name: [row for row in rows if row["learner"] == name] for name in LEARNERS}
     new = {name: config_of(task, name, seed) for name, mine in spent.items() if not mine}
     per_s = paces(new) if new else {}
