@@ -3,7 +3,7 @@
 In some shifts the oracle judges the choices of all but an idle arm and fixed orders that are not the best.
 
 `python -m hrl_comfort.benchmarks.tops FILE.csv SHIFTS [learned=PATTERN…] WORDS…` measures them, and the learned tops
-whose run folders match the patterns; the words, those of `hrl-comfort evaluate`, come after WORDS.
+and flat policies whose run folders match the patterns; the words, those of `hrl-comfort evaluate`, come after WORDS.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pandas import DataFrame
 from hrl_comfort.analysis.intervals import Clusters
 from hrl_comfort.analysis.tables import cell, markdown
 from hrl_comfort.composition.compose import compose
-from hrl_comfort.config import CellConfig, ConfigError, EvaluateConfig, MetaControllerTrainConfig
+from hrl_comfort.config import CellConfig, ConfigError, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.hierarchy import ORACLE
 from hrl_comfort.evaluation.ledger import open_split
 from hrl_comfort.files.run_config import environment, load_config
@@ -37,6 +37,7 @@ from hrl_comfort.hierarchy.tops import TOPS
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.processes.engine import make_engine
+from hrl_comfort.tasks.kitting import KITTING
 
 WORDS = (
     "task=kitting", "human=fetcher", "reward=kitting", "comfort=kitting", "safety=ssm", "robot.rating=collaborative",
@@ -50,8 +51,8 @@ JUDGED = 12
 """Number of shifts, the first, in which the oracle judges every choice, for which it tries every option."""
 RULE = "due"
 """The rule that others are compared with, beside the oracle."""
-FIXED, LEARNED = "fixed", "learned"
-"""Kinds of tops; a learned one is shown by the name of its learner."""
+FIXED, LEARNED, FLAT = "fixed", "learned", "flat"
+"""Kinds of tops, and a policy without a top; a learned top is shown by the name of its learner."""
 TERMS = {
     "return": "return",
     "place": "orders filled",
@@ -66,18 +67,21 @@ The regret is the sum of that of each choice (`hierarchy.oracle`), empty where n
 def measure(config: EvaluateConfig, shifts: int, learned: Sequence[Path] = ()) -> DataFrame:
     """Return a row for each top and shift, of a learned one by its learner and with its training seed.
 
-    Fixed orders, and then all others that are shown, work side by side.
+    Fixed orders, and then all others that are shown, work side by side; a flat policy works alone, and takes the
+    objects as they are numbered.
     """
     entries = open_split(replace(config, episodes=shifts)).entries
     tried = _side_by_side(config, entries, [f"{FIXED} {' '.join(order)}" for order in orders(config.cell)])
     best = str(tried.groupby("top")["return"].mean().idxmax())
     names = {f"{LEARNED} {folder}": told for folder, told in learners_and_seeds(learned).items()}
-    working = [*RULES, best, *names]
+    flat = {name: told for name, told in names.items() if told[0].startswith(FLAT)}
+    working = [*RULES, best, *(name for name in names if name not in flat)]
     shown = _side_by_side(config, entries, [IDLE, *working]).drop(columns="regret")
     judged = _side_by_side(config, entries.at(np.arange(min(shifts, JUDGED))), working, judged=True)
     shown = shown.merge(judged[["top", "shift", "regret"]], how="left")
     oracle = _side_by_side(config, entries, [ORACLE]).assign(regret=0.0)
-    rows = pd.concat([shown, tried[tried["top"] != best], oracle], ignore_index=True)
+    alone = [_alone(config, entries, name) for name in flat]
+    rows = pd.concat([shown, tried[tried["top"] != best], *alone, oracle], ignore_index=True)
     learners, seeds = zip(*(names.get(name, (name, pd.NA)) for name in rows["top"]), strict=True)
     return rows.assign(top=learners, seed=pd.array(seeds, dtype="Int64"))
 
@@ -98,6 +102,15 @@ def _side_by_side(config: EvaluateConfig, entries: EvaluationSet, names: list[st
     top = Top("all", choose, together=ORACLE in names)
     rows = worked(engine, executor, Judged(top, oracle) if judged else top, np.repeat(names, shifts))
     return DataFrame(rows).assign(shift=np.tile(np.arange(shifts), len(names)))
+
+
+def _alone(config: EvaluateConfig, entries: EvaluationSet, name: str) -> DataFrame:
+    """Return a row for each shift of `entries` of the flat policy `name`, which has no regret: it does not choose."""
+    folder, top = name.removeprefix(f"{LEARNED} "), replace(config.meta_controller, name="none")
+    flat, shifts = replace(config, meta_controller=top, policies={}, policy=folder), len(entries.episode)
+    engine = make_engine(environment(flat), shifts, 0, entries)
+    rows = worked(engine, *make_executor(flat, None, engine, 0), np.repeat(name, shifts))
+    return DataFrame(rows).assign(shift=np.arange(shifts))
 
 
 def worked(engine: Engine, executor: OptionExecutor, top: Top, names: NDArray[np.str_]) -> list[dict[str, str | float]]:
@@ -164,32 +177,35 @@ def table(rows: DataFrame) -> str:
 
 
 def learners_and_seeds(folders: Sequence[Path]) -> dict[Path, tuple[str, int]]:
-    """Return the learner of the top in each run folder, by its name, and the seed of the training.
+    """Return the learner of the top or flat policy in each run folder, by its name, and the seed of the training.
 
     Raises:
-      ConfigError: a folder is no training of a top, or two have the same learner and seed.
+      ConfigError: a folder is no training of either, or two have the same learner and seed.
     """
-    found: dict[Path, tuple[str, int]] = {}
+    told: dict[Path, tuple[str, int]] = {}
     for folder in folders:
         config = load_config(folder)
-        if not isinstance(config, MetaControllerTrainConfig):
+        if isinstance(config, MetaControllerTrainConfig):
+            learner = config.meta_controller_agent.name
+        elif isinstance(config, TrainConfig) and config.task.name == KITTING.name:
+            learner = f"{FLAT} {config.agent.name}"
+        else:
             raise ConfigError(
-                f"learned={folder} is no training of a top; give folders of hrl-comfort train meta_controller"
+                f"learned={folder} is no training of a top or of task=kitting; give folders of hrl-comfort train"
             )
-        told = config.meta_controller_agent.name, config.train_seed
-        if told in found.values():
+        if (each := (learner, config.train_seed)) in told.values():
             raise ConfigError(
-                f"learned={folder}: another folder has a {told[0]} of train_seed={told[1]}; give one of them"
+                f"learned={folder}: another folder has a {learner} of train_seed={config.train_seed}; give one of them"
             )
-        found[folder] = told
-    return found
+        told[folder] = each
+    return told
 
 
 def found(pattern: str) -> list[Path]:
     """Return the folders that match a pattern, in order; raise ConfigError if none does."""
     folders = sorted(map(Path, glob(pattern)))
     if not folders:
-        raise ConfigError(f"learned={pattern} matches no folder; give run folders of hrl-comfort train meta_controller")
+        raise ConfigError(f"learned={pattern} matches no folder; give run folders of hrl-comfort train")
     return folders
 
 

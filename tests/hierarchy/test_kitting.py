@@ -12,7 +12,7 @@ import torch
 
 from hrl_comfort.benchmarks import tops as choice
 from hrl_comfort.composition.compose import compose
-from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerTrainConfig
+from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy import oracle as looking
@@ -27,6 +27,7 @@ from hrl_comfort.sim.objects import renewed
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.kitting import KITTING, fetched, missed
 from hrl_comfort.training.controller_trainer import train_meta_controller
+from hrl_comfort.training.trainer import train
 
 CELLS = {"bench": "ur3e", "station": "ur10e"}
 
@@ -48,6 +49,18 @@ def trained(folder: Path, learner: str, seed: int) -> Path:
     ])  # fmt: skip
     assert isinstance(config, MetaControllerTrainConfig)
     return train_meta_controller(config)
+
+
+def trained_flat(folder: Path) -> Path:
+    """Return the run folder of a policy that has hardly learned the whole task."""
+    of_tops = ("split=", "meta_controller", "policies.")
+    words = [word for word in choice.WORDS if not word.startswith(of_tops)]
+    config = compose("train", [
+        *words, "cell=bench", "curriculum=off", "agent.policy_steps=8", "agent.learning_starts=8", "agent.log_every=8",
+        "engine.num_envs=2", f"output={folder}",
+    ])  # fmt: skip
+    assert isinstance(config, TrainConfig)
+    return train(config)
 
 
 def made(config: EvaluateConfig, rows: int) -> tuple[Engine, OptionExecutor, State]:
@@ -245,11 +258,13 @@ def test_all_that_work_but_fixed_orders_that_are_not_the_best_are_told_their_reg
 ) -> None:
     monkeypatch.setattr(looking, "HORIZON_S", 2.0)
     learned = [trained(tmp_path / f"{name}_{seed}", name, seed) for name, seed in (("dqn", 3), ("dqn", 4), ("ppo", 3))]
+    learned.append(trained_flat(tmp_path / "flat"))
     everything = choice.measure(kitting("task.max_episode_steps=400"), 2, learned)
     rows = everything[everything["seed"].isna()]
     assert everything.groupby(["top", "seed"])["shift"].count().to_dict() == {
-        ("dqn", 3): 2, ("dqn", 4): 2, ("ppo", 3): 2
+        ("dqn", 3): 2, ("dqn", 4): 2, ("ppo", 3): 2, ("flat sac", 0): 2
     }  # fmt: skip
+    assert everything[everything["top"] == "flat sac"]["regret"].isna().all(), "it does not choose"
     best = max(
         (name for name in rows["top"] if "fixed" in name), key=lambda name: rows[rows["top"] == name]["return"].sum()
     )
