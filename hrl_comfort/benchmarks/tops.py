@@ -8,11 +8,13 @@ and flat policies whose run folders match the patterns; the words, those of `hrl
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from glob import glob
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,6 +26,7 @@ from hrl_comfort.analysis.intervals import Clusters
 from hrl_comfort.analysis.tables import cell, markdown
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CellConfig, ConfigError, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
+from hrl_comfort.config.checks import import_object
 from hrl_comfort.config.hierarchy import ORACLE
 from hrl_comfort.evaluation.ledger import open_split
 from hrl_comfort.files.run_config import environment, load_config
@@ -53,6 +56,9 @@ RULE = "due"
 """The rule that others are compared with, beside the oracle."""
 FIXED, LEARNED, FLAT = "fixed", "learned", "flat"
 """Kinds of tops, and a policy without a top; a learned top is shown by the name of its learner."""
+TOLD = "top.json"
+"""File of the folder of a top that another library trained: its `learner`, `train_seed`, and as `chooser` a
+`package.module:name`, a function that makes the top from the folder and the configuration."""
 TERMS = {
     "return": "return",
     "place": "orders filled",
@@ -144,6 +150,9 @@ def top_of(name: str, config: EvaluateConfig, table: OptionTable) -> Choose:
     """Return a top by its name; that of a fixed order is followed by the areas, `learned` by a run folder."""
     if name.startswith(f"{LEARNED} "):
         folder = name.removeprefix(f"{LEARNED} ")
+        if (elsewhere := trained_elsewhere(Path(folder))) is not None:
+            made: Choose = import_object("chooser", elsewhere["chooser"])(Path(folder), config)
+            return made
         return TOPS[LEARNED](replace(config, policies={**config.policies, "meta_controller": folder}), table, 0)
     kind, *areas = name.split()
     picks = [
@@ -184,21 +193,33 @@ def learners_and_seeds(folders: Sequence[Path]) -> dict[Path, tuple[str, int]]:
     """
     told: dict[Path, tuple[str, int]] = {}
     for folder in folders:
-        config = load_config(folder)
-        if isinstance(config, MetaControllerTrainConfig):
-            learner = config.meta_controller_agent.name
-        elif isinstance(config, TrainConfig) and config.task.name == KITTING.name:
-            learner = f"{FLAT} {config.agent.name}"
-        else:
+        learner, seed = told_by(folder)
+        if (learner, seed) in told.values():
             raise ConfigError(
-                f"learned={folder} is no training of a top or of task=kitting; give folders of hrl-comfort train"
+                f"learned={folder}: another folder has a {learner} of train_seed={seed}; give one of them"
             )
-        if (each := (learner, config.train_seed)) in told.values():
-            raise ConfigError(
-                f"learned={folder}: another folder has a {learner} of train_seed={config.train_seed}; give one of them"
-            )
-        told[folder] = each
+        told[folder] = learner, seed
     return told
+
+
+def told_by(folder: Path) -> tuple[str, int]:
+    """Return the learner and the seed of the training in a folder; raise ConfigError if it is none."""
+    if (elsewhere := trained_elsewhere(folder)) is not None:
+        return elsewhere["learner"], elsewhere["train_seed"]
+    config = load_config(folder)
+    if isinstance(config, MetaControllerTrainConfig):
+        return config.meta_controller_agent.name, config.train_seed
+    if isinstance(config, TrainConfig) and config.task.name == KITTING.name:
+        return f"{FLAT} {config.agent.name}", config.train_seed
+    raise ConfigError(f"learned={folder} is no training of a top or of task=kitting; give folders of hrl-comfort train")
+
+
+def trained_elsewhere(folder: Path) -> dict[str, Any] | None:
+    """Return what TOLD in a folder says; None if it is not there."""
+    if not (folder / TOLD).is_file():
+        return None
+    said: dict[str, Any] = json.loads((folder / TOLD).read_text(encoding="utf-8"))
+    return said
 
 
 def found(pattern: str) -> list[Path]:

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 import torch
 
+from hrl_comfort.benchmarks import sb3_tops
 from hrl_comfort.benchmarks import tops as choice
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
@@ -61,6 +62,13 @@ def trained_flat(folder: Path) -> Path:
     ])  # fmt: skip
     assert isinstance(config, TrainConfig)
     return train(config)
+
+
+def trained_elsewhere(folder: Path, learner: str, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the folder of a learner of another library that has hardly learned."""
+    monkeypatch.setattr(sb3_tops, "CELLS", 2)
+    monkeypatch.setitem(sb3_tops.OWN[learner], "n_steps", 4)
+    return sb3_tops.train(learner, 8, 2, folder, kitting())
 
 
 def made(config: EvaluateConfig, rows: int) -> tuple[Engine, OptionExecutor, State]:
@@ -258,11 +266,11 @@ def test_all_that_work_but_fixed_orders_that_are_not_the_best_are_told_their_reg
 ) -> None:
     monkeypatch.setattr(looking, "HORIZON_S", 2.0)
     learned = [trained(tmp_path / f"{name}_{seed}", name, seed) for name, seed in (("dqn", 3), ("dqn", 4), ("ppo", 3))]
-    learned.append(trained_flat(tmp_path / "flat"))
+    learned += [trained_flat(tmp_path / "flat"), trained_elsewhere(tmp_path / "sb3", "MaskablePPO", monkeypatch)]
     everything = choice.measure(kitting("task.max_episode_steps=400"), 2, learned)
     rows = everything[everything["seed"].isna()]
     assert everything.groupby(["top", "seed"])["shift"].count().to_dict() == {
-        ("dqn", 3): 2, ("dqn", 4): 2, ("ppo", 3): 2, ("flat sac", 0): 2
+        ("dqn", 3): 2, ("dqn", 4): 2, ("ppo", 3): 2, ("flat sac", 0): 2, ("sb3 MaskablePPO", 2): 2
     }  # fmt: skip
     assert everything[everything["top"] == "flat sac"]["regret"].isna().all(), "it does not choose"
     best = max(
