@@ -11,7 +11,8 @@ from hrl_comfort.config import ConfigError, ResultsConfig
 from hrl_comfort.results import looks, pages
 from hrl_comfort.results.manifest import PHASES, Entry, entry, manifest, tracked
 from hrl_comfort.results.record import read_record, state
-from hrl_comfort.results.remake import remake, verify
+from hrl_comfort.results.remake import remake
+from hrl_comfort.results.verify import verify
 
 
 def results(config: ResultsConfig) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +28,7 @@ from hrl_comfort.config.overrides import check_overrides, root_of
 from hrl_comfort.evaluation import ledger
 from hrl_comfort.files import provenance
 from hrl_comfort.files.run_config import environment
-from hrl_comfort.results import looks, manifest, pages, record, remake, tables
+from hrl_comfort.results import looks, manifest, pages, record, remake, tables, verify
 from hrl_comfort.results.command import results
 from hrl_comfort.results.manifest import PHASES, Entry
 from hrl_comfort.training.hierarchy_trainer import controller_config
@@ -187,7 +186,7 @@ def test_campaigns_of_the_hand_are_counted(tmp_path: Path, monkeypatch: pytest.M
 @pytest.fixture
 def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a repository with code, a result in runs/ and its record."""
-    for module in (provenance, manifest, record, remake, looks):
+    for module in (provenance, manifest, record, remake, verify, looks):
         monkeypatch.setattr(module, "ROOT", tmp_path)
     monkeypatch.setattr(record, "RECORDS", tmp_path / "runs" / "records")
     for name in ("code.py", "runs/made.csv", "other.py", "README.md"):
@@ -240,7 +239,7 @@ def test_nothing_is_published_from_a_tree_with_uncommitted_changes(
     made = record.need_clean_tree()  # neither a result nor a filled page is a change of the code
     assert made == provenance.commit() == commit(checkout, "status", "--short")
     (checkout / "code.py").write_text("2\n", encoding="utf-8")
-    for publish in (lambda: remake.remake("made", MADE, train=False, jobs=1), lambda: remake.verify("made", MADE)):
+    for publish in (lambda: remake.remake("made", MADE, train=False, jobs=1), lambda: verify.verify("made", MADE)):
         with pytest.raises(ConfigError, match=r"code\.py has uncommitted changes \(1 files\); commit them"):
             publish()
 
@@ -255,27 +254,77 @@ def test_a_result_is_made_anew_by_a_module_that_would_go_on_with_what_is_there(c
     assert record.read_record("made") is not None
 
 
-def test_a_result_is_verified_by_the_first_seed_whose_policies_are_kept(
-    checkout: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ran: list[str] = []
+EVALUATED = MADE.model_copy(
+    update={
+        "draw": [],
+        "seeds": [0, 1],
+        "train": ["hrl-comfort train hierarchy agent.policy_steps=9000 train_seed={seed} output=runs/p{seed}"],
+        "evaluate": ["hrl-comfort evaluate policy=runs/p{seed} episodes=1 output=runs/e{seed}"],
+    }
+)
+"""A result of a training."""
 
-    def run(words: list[str]) -> None:
-        ran.append(words[2])
-        shutil.copytree(checkout / "runs" / "e1", remake.output_of(words))
 
-    monkeypatch.setattr(remake, "run", run)
-    evaluate = "hrl-comfort evaluate policy=runs/p{seed} episodes=1 output=runs/e{seed}"
-    entry = MADE.model_copy(update={"draw": [], "seeds": [0, 1], "evaluate": [evaluate]})
-    record.write_record("made", record.Record(commit="0", commands=[]))
-    with pytest.raises(ConfigError, match=r"^verify=made: its policies are not kept; give remake=made train=true$"):
-        remake.verify("made", entry)
-    for name in ("p1", "e1"):
-        (checkout / "runs" / name).mkdir()
-    (checkout / "runs" / "e1" / "episodes.csv").write_text("episode,comfort_level,success\n0,,1\n", encoding="utf-8")
-    assert remake.verify("made", entry) == "" and ran == ["policy=runs/p1"]
+class Ran:
+    """Stands in for commands: notes them with the code in code.py, which an evaluation gives as the success."""
+
+    def __init__(self) -> None:
+        self.words: list[list[str]] = []
+        self.code: list[str] = []
+
+    def __call__(self, words: list[str], code: Path) -> None:
+        self.words.append(words)
+        self.code.append((code / "code.py").read_text(encoding="utf-8").strip())
+        if words[1] == "evaluate":
+            output = Path(remake.output_of(words))
+            output.mkdir(parents=True)
+            (output / "episodes.csv").write_text(
+                f"episode,comfort_level,success\n0,,{self.code[-1]}\n", encoding="utf-8"
+            )
+
+
+@pytest.fixture
+def ran(monkeypatch: pytest.MonkeyPatch) -> Ran:
+    stands_in = Ran()
+    monkeypatch.setattr(verify, "run", stands_in)
+    return stands_in
+
+
+def test_a_result_is_verified_by_the_code_of_its_record_and_that_of_now(checkout: Path, ran: Ran) -> None:
+    with pytest.raises(ConfigError, match=r"^verify=made: it has no record, or no command that writes episodes; give"):
+        verify.verify("made", EVALUATED)
+    (checkout / "runs" / "p1").mkdir()
+    first = str(provenance.commit())
+    record.write_record("made", record.Record(commit=first, commands=[]))
+    (checkout / "other.py").write_text("", encoding="utf-8")
+    second = commit(checkout)
+    assert verify.verify("made", EVALUATED) == "", "the code that decides is the same"
     kept = record.read_record("made")
-    assert kept is not None and kept.verified == provenance.commit()
+    assert kept is not None and (kept.commit, kept.verified) == (first, second)
+    assert ran.code == ["1", "1"] and [words[2] for words in ran.words] == ["policy=runs/p1"] * 2, "of the seed kept"
+    (checkout / "code.py").write_text("0\n", encoding="utf-8")
+    commit(checkout)
+    assert "success False, before True" in verify.verify("made", EVALUATED)
+    assert record.read_record("made") == kept and not provenance.git("worktree", "list", "--porcelain").count("code")
+
+
+def test_where_no_policies_are_kept_the_first_seed_is_trained_for_a_few_steps_by_both(checkout: Path, ran: Ran) -> None:
+    record.write_record("made", record.Record(commit=str(provenance.commit()), commands=[]))
+    assert verify.verify("made", EVALUATED) == ""
+    trained, evaluated, *now = ran.words
+    assert [words[1] for words in now] == ["train", "evaluate"] and trained[:3] == ["hrl-comfort", "train", "hierarchy"]
+    assert [word for word in trained if word.startswith("agent.policy_steps=")] == ["agent.policy_steps=2500"]
+    folder = next(word.partition("=")[2] for word in trained if word.startswith("output="))
+    assert f"policy={folder}" in evaluated and not Path(folder).exists() and not (checkout / "runs" / "p0").exists()
+
+
+def test_another_checkout_of_the_package_runs_a_command(checkout: Path, tmp_path: Path) -> None:
+    package = tmp_path / "code" / "hrl_comfort"
+    package.mkdir(parents=True)
+    (package / "__init__.py").touch()
+    (package / "__main__.py").write_text("import sys\nopen(sys.argv[-2], 'w').close()\n", encoding="utf-8")
+    remake.run(["hrl-comfort", "ran_by_it"], package.parent)
+    assert (checkout / "ran_by_it").exists()
 
 
 def test_a_command_that_fails_publishes_nothing(checkout: Path) -> None:
@@ -290,11 +339,11 @@ def episodes(**columns: Any) -> pd.DataFrame:
 
 def test_a_result_is_verified_digit_by_digit() -> None:
     known = episodes()
-    assert remake.difference(known, episodes(later=[1, 2])) == ""
+    assert verify.difference(known, episodes(later=[1, 2])) == ""
     other = episodes(**{"return": [0.500001, None]})
-    assert remake.difference(known, other) == "episode 0: return 0.500001, before 0.5"
-    assert remake.difference(known, episodes().drop(columns="return")) == "no column return any more"
-    assert remake.difference(known[:1], episodes()) == "episodes that were not there before"
+    assert verify.difference(known, other) == "episode 0: return 0.500001, before 0.5"
+    assert verify.difference(known, episodes().drop(columns="return")) == "no column return any more"
+    assert verify.difference(known[:1], episodes()) == "episodes that were not there before"
 
 
 @pytest.mark.parametrize(
@@ -307,7 +356,7 @@ def test_a_result_is_verified_digit_by_digit() -> None:
     ],
 )
 def test_a_verification_runs_the_first_batch_at_the_first_level(words: list[str], first: list[str]) -> None:
-    assert remake.shortened(["hrl-comfort", *words]) == ["hrl-comfort", *first]
+    assert verify.shortened(["hrl-comfort", *words]) == ["hrl-comfort", *first]
 
 
 def test_the_benchmark_writes_an_evaluation_for_each_task_of_its_suite() -> None:

@@ -1,0 +1,143 @@
+"""Whether the present code gives the same result: its first episodes at the commit of its record and at this one.
+
+Both are run on one machine, since a product of matrices may differ in its last bit on another processor.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from pandas import DataFrame
+
+from hrl_comfort.config import ConfigError
+from hrl_comfort.evaluation.rollout import BATCH
+from hrl_comfort.files.provenance import ROOT, git
+from hrl_comfort.files.tables import read_table
+from hrl_comfort.results.manifest import Entry
+from hrl_comfort.results.record import need_clean_tree, read_record, write_record
+from hrl_comfort.results.remake import evaluations_of, run
+
+KEYS = ["episode", "comfort_level"]
+"""Columns that tell an episode of an evaluation."""
+MEASURED = ("evaluate", "benchmark")
+"""Commands that write episodes."""
+SHORT = {
+    "hierarchy": ("agent.policy_steps=2500", "hierarchy.episodes=8", "hierarchy.terminal_states_episodes=16"),
+    "meta_controller": ("meta_controller_agent.options=400", "meta_controller_agent.warmup_options=100"),
+    "skill": ("agent.policy_steps=2500",),
+}
+"""Keys of a training that stands in for one whose policies are not kept."""
+
+
+def verify(name: str, entry: Entry) -> str:
+    """Run the first batch of an entry's evaluations of a seed by both commits; say where they differ, or record it.
+
+    The seed is the first whose policies are there. Where no seed has them, the first is trained for a few steps by
+    both commits.
+
+    Raises:
+      ConfigError: there is nothing to compare, a command fails, or a file has uncommitted changes.
+    """
+    made, record = need_clean_tree(), read_record(name)
+    each = [Entry(**{**entry.model_dump(), "seeds": [seed]}) for seed in entry.seeds] or [entry]
+    evaluated = [[words for words in one.commands("evaluate") if words[1] in MEASURED] for one in each]
+    if record is None or not evaluated[0]:
+        raise ConfigError(f"verify={name}: it has no record, or no command that writes episodes; give remake={name}")
+    kept = next((index for index, found in enumerate(evaluated) if all(map(has_policies, found))), None)
+    trained = each[0].commands("train") if kept is None else []
+    with TemporaryDirectory() as folder, code_of(record.verified or record.commit, Path(folder) / "code") as before:
+        runs = [
+            first_episodes([*map(shortly, trained)], evaluated[kept or 0], code, Path(folder) / side)
+            for side, code in {"before": before, "now": ROOT}.items()
+        ]
+    for (asked, known), (_, again) in zip(*runs, strict=True):
+        if wrong := difference(known, again):
+            return f"{asked}: {wrong}"
+    write_record(name, record.model_copy(update={"verified": made}))
+    return ""
+
+
+@contextmanager
+def code_of(commit: str, folder: Path) -> Iterator[Path]:
+    """Check a commit out into a folder for as long; raise ConfigError if it is not in this clone."""
+    if git("worktree", "add", "--detach", "--force", str(folder), commit) is None:
+        raise ConfigError(f"commit {commit[:7]} is not in this clone; fetch it")
+    try:
+        yield folder
+    finally:
+        git("worktree", "remove", "--force", str(folder))
+
+
+def first_episodes(
+    trained: Sequence[Sequence[str]], evaluated: Sequence[Sequence[str]], code: Path, folder: Path
+) -> list[tuple[str, DataFrame]]:
+    """Return a command and its episodes for each evaluation, run by the package in `code`, with runs in `folder`."""
+    for words in trained:
+        run([placed(word, folder) for word in words], code)
+    found = []
+    for index, words in enumerate(evaluated):
+        again = [placed(word, folder) for word in [*shortened(words), f"output=runs/{index}"]]
+        run(again, code)
+        found += [(" ".join(words), read(path)) for path in evaluations_of(again)]
+    return found
+
+
+def placed(word: str, folder: Path) -> str:
+    """Return a word of a command whose run folder, if it names one, is in `folder` unless it is one to read here."""
+    key, is_given, value = word.partition("=")
+    if not is_given or not value.startswith("runs/") or (key != "output" and (ROOT / value).exists()):
+        return word
+    return f"{key}={folder / value}"
+
+
+def has_policies(words: Sequence[str]) -> bool:
+    """Return whether the run folders that a command names as policies are there."""
+    given = (word.partition("=")[2] for word in words if word.startswith(("policy=", "policies.")))
+    return all((ROOT / value).exists() for value in given if value.startswith("runs/"))
+
+
+def shortly(words: Sequence[str]) -> list[str]:
+    """Return a training cut to a few steps."""
+    own = SHORT.get(words[2], SHORT["skill"])
+    keys = tuple(f"{word.partition('=')[0]}=" for word in own)
+    return [*(word for word in words if not word.startswith(keys)), *own]
+
+
+def shortened(words: Sequence[str]) -> list[str]:
+    """Return a command without its output, cut to its first batch of episodes at its first level."""
+    kept = [word for word in words if not word.startswith(("output=", "levels=[", "episodes="))]
+    asked = next((word for word in words if word.startswith("episodes=")), None)
+    levels = next((word for word in words if word.startswith("levels=")), None)
+    first = re.search(r"\d+", levels) if levels else None
+    if asked:
+        kept.append(f"episodes={min(BATCH, int(asked.partition('=')[2]))}")
+    if levels or words[1] == "benchmark":
+        kept.append(f"levels=[{first[0] if first else '' if levels else 1}]")
+    return kept
+
+
+def read(folder: Path) -> DataFrame:
+    """Return the episodes of an evaluation that has just been written."""
+    rows = read_table(folder / "episodes.csv")
+    assert rows is not None, f"{folder} has no episodes"
+    return rows
+
+
+def difference(known: DataFrame, again: DataFrame) -> str:
+    """Return the first cell in which episodes differ from the known ones, or nothing."""
+    both = again.merge(known, on=KEYS, suffixes=("", " before"), how="left", indicator=True)
+    if (both["_merge"] != "both").any():
+        return "episodes that were not there before"
+    for column in known.columns.difference(KEYS):
+        if column not in again:
+            return f"no column {column} any more"
+        now, before = both[column], both[f"{column} before"]
+        unequal = ~((now == before) | (now.isna() & before.isna())).fillna(False).astype(bool)
+        if unequal.any():
+            row = both[unequal].iloc[0]
+            return f"episode {row['episode']}: {column} {row[column]}, before {row[f'{column} before']}"
+    return ""
