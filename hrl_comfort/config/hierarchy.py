@@ -17,8 +17,11 @@ ORACLE = "oracle"
 META_OBSERVATIONS = ("default", "jobs")
 OBSERVED = {"default": (18, 9), "jobs": (15, 12)}
 """Numbers that a top observes of all, and of each object, by META_OBSERVATIONS."""
-OPTION_KEYS: dict[str, Any] = {"level_override": [], "max_waits": None, "interruption_steps": None}
-"""Keys of the options of SORTING, with the values that change nothing; a learned controller keeps those it had."""
+FURTHER_OPTIONS = "meta_controller.further_options"
+OPTION_KEYS: dict[str, Any] = {
+    "level_override": [], "max_waits": None, "interruption_steps": None, "further_options": [],
+}  # fmt: skip
+"""Keys of the options, with the values that change nothing; a learned controller keeps those it had."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,9 @@ class MetaControllerConfig:
     """`sort`, `shift`, `kitting`: comfort levels that the controller may give a skill (the policy of an option) instead
     of the current level. `nearest`, `free`, `due`, `cautious`, `patient` and `fixed` give every skill the first of
     them."""
+    further_options: Annotated[list[Annotated[str, named(FURTHER_OPTIONS)]], unique]
+    """Options of your own beside those of the task: each `package.module:name`, or the name of one that an installed
+    package offers as an entry point."""
     order: Annotated[list[str], unique]
     """`fixed`: names of options, the first choice first; those that are not named come after them."""
 

@@ -37,7 +37,7 @@ FAR = 3.0
 """Standard deviations from the mean in training beyond which an observation counts as far."""
 LONE = MetaControllerConfig(
     name="none", options=[], time_limit_steps=1, interruption_steps=None, retries=0, max_waits=None, level_override=[],
-    order=[],
+    further_options=[], order=[],
 )  # fmt: skip
 
 

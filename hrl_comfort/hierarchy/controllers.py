@@ -8,6 +8,7 @@ from hrl_comfort.hierarchy.decision import Top
 from hrl_comfort.hierarchy.executor import OptionExecutor
 from hrl_comfort.hierarchy.options import OptionTable, chain, skill
 from hrl_comfort.hierarchy.oracle import Oracle
+from hrl_comfort.hierarchy.own_options import with_own
 from hrl_comfort.hierarchy.sort import recovery, sorting_table
 from hrl_comfort.hierarchy.tops import in_order, make_top
 from hrl_comfort.policies.load import Source, make_policy
@@ -57,8 +58,9 @@ def _chain(config: EvaluateConfig, engine: Engine, seed: int) -> OptionTable:
     check_stages(parts, task)
     skills = [(part, make_policy(config.policies[part.name], part, engine.scene, env, seed)) for part in parts]
     drops = any(stage.dropped is not None for stage in task.stages)
-    further = [recovery(engine.scene, env, seed)] if drops else []
-    return chain(skills, meta_controller.time_limit_steps, further)
+    recovering = [recovery(engine.scene, env, seed)] if drops else []
+    table = chain(skills, meta_controller.time_limit_steps, recovering)
+    return OptionTable(with_own([*table], meta_controller, engine.scene, env, seed))
 
 
 def check_given(config: EvaluateConfig) -> None:

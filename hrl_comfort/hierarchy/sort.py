@@ -10,6 +10,7 @@ from torch import Tensor
 from hrl_comfort.config import ConfigError, EnvConfig, MetaControllerConfig, TaskConfig
 from hrl_comfort.hierarchy.observation import ROUND
 from hrl_comfort.hierarchy.options import Begun, Option, OptionTable, grid, in_hand, lasts, skill
+from hrl_comfort.hierarchy.own_options import with_own
 from hrl_comfort.policies.load import Act, make_policy
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.tasks import State, subtask
@@ -31,10 +32,11 @@ def sorting_table(
     """Return a pick for each object, place and return, for each level they may be given, then wait and retreat.
 
     Policies, by subtask name, see the level in force or, in further options, one of
-    `meta_controller.level_override`.
+    `meta_controller.level_override`. Options of users come last.
 
     Raises:
-      ConfigError: the division is not three, a policy is missing or does not fit, or a level is not one of the source.
+      ConfigError: the division is not three, a policy is missing or does not fit, a level is not one of the source, or
+        as `with_own` does.
     """
     hand = config.robot.gripper.holds
     parts = [subtask(each.name, hand=hand) for each in SKILLS]
@@ -69,7 +71,7 @@ def sorting_table(
         interruption_steps=period, recovers=True,
     )  # fmt: skip
     choices = grid(skills, {PICK.name: config.task.objects}, meta_controller.level_override)
-    return OptionTable([*choices, wait, retreat])
+    return OptionTable(with_own([*choices, wait, retreat], meta_controller, scene, config, seed))
 
 
 def way_home(scene: Scene, config: EnvConfig, seed: int) -> Act:

@@ -1,0 +1,109 @@
+"""Options of users stand beside those of the tasks, and what is wrong with one is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from hrl_comfort.composition.compose import compose
+from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig
+from hrl_comfort.evaluation.rollout import rollout
+from hrl_comfort.files.run_config import environment
+from hrl_comfort.hierarchy.controllers import make_executor
+from hrl_comfort.hierarchy.decision import Decision
+from hrl_comfort.hierarchy.executor import OptionExecutor
+from hrl_comfort.hierarchy.options import Option, lasts
+from hrl_comfort.hierarchy.tops import nearest
+from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim.engine import Engine
+from hrl_comfort.tasks import State
+
+SKILLS = ("policies.pick=expert", "policies.place=expert", "policies.return=expert")
+
+
+def raise_arm(state: State) -> Tensor:
+    action = torch.zeros_like(state.joint_pos)
+    action[:, 1] = -1.0
+    return action
+
+
+def at_start(state: State) -> Tensor:
+    return state.steps == 0
+
+
+RAISE = Option("raise", raise_arm, at_start, lasts(25))
+PLACE = replace(RAISE, name="place")
+WIDE = replace(RAISE, policy=lambda state: torch.zeros(len(state.stage), 9))
+ENDLESS = replace(RAISE, policy=lambda state: torch.full_like(state.joint_pos, torch.nan))
+ODD = replace(RAISE, initiation=lambda state: state.joint_pos > 0)
+NEVER_OVER = replace(RAISE, termination=lambda state, begun: False)  # type: ignore[arg-type, return-value]
+
+
+def made(scene: Scene, config: EnvConfig, seed: int) -> Option:
+    return replace(RAISE, name=f"raise_{len(scene.joints)}")
+
+
+def raised_first(decision: Decision) -> Tensor:
+    index = len(decision.table) - 1
+    return torch.where(decision.mask[:, index], index, nearest(decision))
+
+
+def evaluation(option: str, *words: str, top: str = "raised_first") -> EvaluateConfig:
+    config = compose("evaluate", [
+        *SKILLS, f"meta_controller={__name__}:{top}", f"meta_controller.further_options=[{__name__}:{option}]",
+        "task=sort", "task.objects=1", "human=none", "episodes=1", "output=unused", *words,
+    ])  # fmt: skip
+    assert isinstance(config, EvaluateConfig)
+    return config
+
+
+def executor_of(config: EvaluateConfig) -> OptionExecutor:
+    return make_executor(config, None, Engine(environment(config), 1, 0), 0)[0]
+
+
+@pytest.mark.parametrize("words", [[], ["task=cycle", "task.objects=1"]], ids=["sort", "chain"])
+def test_a_top_starts_an_option_of_a_user_and_the_task_goes_on(words: list[str]) -> None:
+    result = rollout(evaluation("RAISE", *words))
+    ran = [(line["option"], line["cause"]) for line in result.options]
+    assert ran[0] == ("raise", "done") and ran[1][0].startswith("pick") and bool(result.table["success"].all())
+    assert [line["end_step"] - line["start_step"] for line in result.options][0] == 25
+
+
+def test_a_function_makes_an_option_for_the_scene() -> None:
+    assert executor_of(evaluation("made")).table.names[-3:] == ["wait", "retreat", "raise_6"]
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ("SKILLS", "is of type tuple; it must be a hrl_comfort.hierarchy.options.Option, or a function"),
+        ("PLACE", "is named 'place', as another option; those are pick_1, place, return, wait, retreat"),
+        ("missing", "has no missing"),
+    ],
+)
+def test_what_is_no_option_is_refused(option: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        executor_of(evaluation(option))
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ("WIDE", r"policy returned shape \(1, 9\); it must return a tensor of shape \(1, 6\)"),
+        ("ENDLESS", "policy returned actions that are not finite"),
+        ("ODD", r"initiation returned shape \(1, 6\); it must return a tensor of shape \(1,\)"),
+        ("NEVER_OVER", r"termination returned type bool; it must return a tensor of shape \(1,\)"),
+    ],
+)
+def test_an_option_that_returns_something_else_is_told(option: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=f"^meta_controller.further_options: option 'raise': {said}$"):
+        rollout(evaluation(option))
+
+
+def test_a_controller_that_reads_no_options_takes_none() -> None:
+    own = f"meta_controller.further_options=[{__name__}:RAISE]"
+    with pytest.raises(ConfigError, match="meta_controller.further_options="):
+        compose("evaluate", [*SKILLS, "meta_controller=idle", "task=sort", own])
