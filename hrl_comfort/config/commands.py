@@ -83,6 +83,22 @@ class EnvConfig(CommandConfig):
         return max(self.engine.substeps, GRASP_SUBSTEPS) if self.robot.gripper.holds else self.engine.substeps
 
 
+def check_disturbance(disturbance: str, config: EnvConfig) -> None:
+    """Raise ConfigError if one of DISTURBANCES does not go with the task, the hand or the person of `config`."""
+    if disturbance == "drop" and config.task.name not in PICK_AND_PLACE:
+        raise ConfigError(
+            f"disturbance=drop needs an object that is picked and then placed; task.name={config.task.name!r} "
+            f"is not one of {', '.join(PICK_AND_PLACE)}"
+        )
+    if disturbance == "drop" and config.robot.gripper.holds:
+        raise ConfigError(
+            f"disturbance=drop is for objects that ride on the tool; robot.gripper.name={config.robot.gripper.name} "
+            "holds them: choose disturbance=none, or gripper=none"
+        )
+    if disturbance == "block" and config.human.motion in ("none", "recorded"):
+        raise ConfigError(f"disturbance=block needs a human who can stand still; not human={config.human.motion}")
+
+
 @dataclass(frozen=True)
 class EvaluateConfig(EnvConfig):
     """`hrl-comfort evaluate`."""
@@ -128,8 +144,9 @@ class EvaluateConfig(EnvConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.disturbance != "none":
-            self._check_disturbance()
+        check_disturbance(self.disturbance, self)
+        if self.disturbance != "none" and self.terminal_states is not None:
+            raise ConfigError(f"disturbance={self.disturbance} does not go with terminal_states=")
         self.meta_controller.check(self.task.name)
         chained = self.meta_controller.name != "none"
         if chained and self.policy is not None:
@@ -164,22 +181,6 @@ class EvaluateConfig(EnvConfig):
                 raise ConfigError(f"{key}={value} is for hrl-comfort evaluate; leave it out")
         if self.meta_controller.name == ORACLE:
             raise ConfigError("meta_controller=oracle looks ahead in simulation alone; choose another")
-
-    def _check_disturbance(self) -> None:
-        if self.disturbance == "drop" and self.task.name not in PICK_AND_PLACE:
-            raise ConfigError(
-                f"disturbance=drop needs an object that is picked and then placed; task.name={self.task.name!r} "
-                f"is not one of {', '.join(PICK_AND_PLACE)}"
-            )
-        if self.disturbance == "drop" and self.robot.gripper.holds:
-            raise ConfigError(
-                f"disturbance=drop is for objects that ride on the tool; robot.gripper.name={self.robot.gripper.name} "
-                "holds them: choose gripper=none"
-            )
-        if self.disturbance == "block" and self.human.motion in ("none", "recorded"):
-            raise ConfigError(f"disturbance=block needs a human who can stand still; not human={self.human.motion}")
-        if self.terminal_states is not None:
-            raise ConfigError(f"disturbance={self.disturbance} does not go with terminal_states=")
 
     def _check_levels(self) -> None:
         said, source = f"levels={list(self.levels)}", self.comfort.source

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import BeforeValidator
 
 from hrl_comfort.config.checks import ConfigError, between, choice, within
-from hrl_comfort.config.commands import DISTURBANCES, EnvConfig
+from hrl_comfort.config.commands import DISTURBANCES, EnvConfig, check_disturbance
 from hrl_comfort.config.constants import VALIDATION_SEED
 from hrl_comfort.config.hierarchy import MetaControllerAgentConfig, MetaControllerConfig
 from hrl_comfort.config.learning import AgentConfig, CurriculumConfig, StageConfig
@@ -92,6 +92,7 @@ class MetaControllerTrainConfig(TrainingConfig):
                 f"task.name={self.task.name!r} has one order of options; train meta_controller takes "
                 "task=sort, shift or kitting"
             )
+        check_disturbance(self.disturbance, self)
         if self.meta_controller.name != "learned":
             name = self.meta_controller.name
             raise ConfigError(f"meta_controller.name={name!r} is not trained; choose meta_controller=learned")

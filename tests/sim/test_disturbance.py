@@ -76,3 +76,8 @@ def test_a_disturbance_that_cannot_happen_is_refused(overrides: list[str], messa
 def test_an_unknown_disturbance_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"disturbance='flood'.*drop"):
         compose("evaluate", ["disturbance=flood"])
+
+
+def test_a_controller_above_a_hand_is_not_trained_with_objects_that_fall_off_a_tool() -> None:
+    with pytest.raises(ConfigError, match="disturbance=drop is for objects that ride on the tool; robot.gripper.name="):
+        compose("train_meta_controller", ["cell=bench_hand", "output=unused"])
