@@ -48,9 +48,14 @@ AS_TRAINED: dict[str, tuple[str, ...]] = {
     "studio": _ALL_BUT_ENGINE,
     "export": _ALL_BUT_ENGINE,
     "deploy": ("robot.name", "robot.gripper", "cell", "human.clipping", "human.spawns_m", "comfort", "task", "reward"),
-    "train_meta_controller": ("robot", "cell", "human"),
-}
+    "train_meta_controller": (
+        "robot", "cell", "human", "safety", "task.terminate_on", "task.arrival_speed_rad_s", "task.max_step_deg",
+        "task.observation", "task.action_repeat",
+    ),
+}  # fmt: skip
 """Sections and keys that take their defaults from the run of the given policy, by root."""
+OF_ONE_ARM = ("robot.home_deg", "robot.calibration", "robot.end_effector")
+"""Keys that say nothing of another robot than that of the run."""
 
 
 def compose(root: str, overrides: Iterable[str] = ()) -> CommandConfig:
@@ -174,9 +179,10 @@ def _with_sections(root: str, run: EnvConfig, overrides: list[str]) -> list[str]
     """Return `overrides` of `root` behind those that set its sections AS_TRAINED as in `run`.
 
     For a group chosen in `overrides`, keys that any file of the group sets are left out; of nested keys, those that the
-    chosen file sets. A chosen cell takes nothing of the cell of the run.
+    chosen file sets. A chosen cell takes nothing of the cell of the run, another robot nothing of OF_ONE_ARM.
     """
     chosen, trained = {parse(line).key_or_group: parse(line).value() for line in overrides}, []
+    same_arm = run.robot.name == str(chosen.get("robot.name", chosen.get("robot", run.robot.name)))
     for part in AS_TRAINED[root]:
         stated, group = set[str](), part.split(".")[0]
         own: Any = {}
@@ -189,7 +195,8 @@ def _with_sections(root: str, run: EnvConfig, overrides: list[str]) -> list[str]
             own = loaded.get(str(chosen[group]), {})
         for key, value in _fields(part, attrgetter(part)(run)):
             name, _, nested = key.partition(".")[2].partition(".")
-            left_out = name in stated and (not nested or OmegaConf.select(own, f"{name}.{nested}") is not None)
+            left_out = not same_arm and key in OF_ONE_ARM
+            left_out |= name in stated and (not nested or OmegaConf.select(own, f"{name}.{nested}") is not None)
             if not left_out and not (key.startswith("robot.gripper.") and "gripper" in chosen):
                 # Hydra would add the entries of a mapping to those of conf/.
                 trained += [override(key, None)] * isinstance(value, dict)

@@ -13,7 +13,7 @@ from tensordict import TensorDict
 from hrl_comfort.agents import checkpoint
 from hrl_comfort.agents.tops.dqn import DQN
 from hrl_comfort.composition.compose import compose
-from hrl_comfort.config import ConfigError, MetaControllerTrainConfig
+from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerTrainConfig
 from hrl_comfort.config.hierarchy import META_OBSERVATIONS
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_config import save_config
@@ -88,6 +88,25 @@ def test_a_controller_is_taught_beside_the_people_of_its_skills_in_a_task_of_its
     plain = compose("train_meta_controller")
     assert taught.human.motion == "arc"
     assert (taught.task, taught.reward, taught.comfort) == (plain.task, plain.reward, plain.comfort)
+
+
+def test_a_controller_is_taught_behind_the_shield_of_its_skills(tmp_path) -> None:
+    save_config(compose("train", ["task=pick", "safety=ssm", "task.max_step_deg=1.4"]), tmp_path / "config.yaml")
+    policies = f"policies.pick='{tmp_path}'"
+    taught, unshielded = (
+        compose("train_meta_controller", [policies, *words]) for words in (["task=shift"], ["safety=none"])
+    )
+    assert isinstance(taught, MetaControllerTrainConfig) and isinstance(unshielded, MetaControllerTrainConfig)
+    assert (taught.safety.kind, taught.task.max_step_deg, taught.task.name) == ("ssm", 1.4, "shift")
+    assert unshielded.safety.kind == "none"
+
+
+@pytest.mark.parametrize("word", ["robot=ur5e", "robot.name=ur5e"])
+def test_another_robot_has_not_the_home_of_that_of_the_run(tmp_path, word: str) -> None:
+    save_config(compose("train", ["task=pick", "robot.home_deg=[0,-90,90,0,90,0]"]), tmp_path / "config.yaml")
+    same, other = (compose("evaluate", [f"policy='{tmp_path}'", *words]) for words in ([], [word]))
+    assert isinstance(same, EvaluateConfig) and isinstance(other, EvaluateConfig)
+    assert same.robot.home_deg == [0, -90, 90, 0, 90, 0] and other.robot.home_deg is None
 
 
 def test_a_controller_learns_to_take_the_option_that_pays() -> None:

@@ -69,7 +69,7 @@ def test_a_top_starts_an_option_of_a_user_and_the_task_goes_on(words: list[str])
     result = rollout(evaluation("RAISE", *words))
     ran = [(line["option"], line["cause"]) for line in result.options]
     assert ran[0] == ("raise", "done") and ran[1][0].startswith("pick") and bool(result.table["success"].all())
-    assert [line["end_step"] - line["start_step"] for line in result.options][0] == 25
+    assert next(line["end_step"] - line["start_step"] for line in result.options) == 25
 
 
 def test_a_function_makes_an_option_for_the_scene() -> None:
@@ -105,5 +105,5 @@ def test_an_option_that_returns_something_else_is_told(option: str, said: str) -
 
 def test_a_controller_that_reads_no_options_takes_none() -> None:
     own = f"meta_controller.further_options=[{__name__}:RAISE]"
-    with pytest.raises(ConfigError, match="meta_controller.further_options="):
+    with pytest.raises(ConfigError, match=r"meta_controller\.further_options="):
         compose("evaluate", [*SKILLS, "meta_controller=idle", "task=sort", own])
