@@ -14,7 +14,6 @@ from tempfile import TemporaryDirectory
 from pandas import DataFrame
 
 from hrl_comfort.config import ConfigError
-from hrl_comfort.evaluation.rollout import BATCH
 from hrl_comfort.files.provenance import ROOT, git
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.results.manifest import Entry
@@ -23,8 +22,8 @@ from hrl_comfort.results.remake import evaluations_of, run
 
 KEYS = ["episode", "comfort_level"]
 """Columns that tell an episode of an evaluation."""
-MEASURED = ("evaluate", "benchmark")
-"""Commands that write episodes."""
+MEASURED = {"evaluate": 40, "benchmark": 8}
+"""Commands that write episodes, and how many of them are compared, of each task of the benchmark."""
 SHORT = {
     "hierarchy": ("agent.policy_steps=2500", "hierarchy.episodes=8", "hierarchy.terminal_states_episodes=16"),
     "meta_controller": ("meta_controller_agent.options=400", "meta_controller_agent.warmup_options=100"),
@@ -34,7 +33,7 @@ SHORT = {
 
 
 def verify(name: str, entry: Entry) -> str:
-    """Run the first batch of an entry's evaluations of a seed by both commits; say where they differ, or record it.
+    """Run the first episodes of an entry's evaluations of a seed by both commits; say where they differ, or record it.
 
     The seed is the first whose policies are there. Where no seed has them, the first is trained for a few steps by
     both commits.
@@ -108,13 +107,12 @@ def shortly(words: Sequence[str]) -> list[str]:
 
 
 def shortened(words: Sequence[str]) -> list[str]:
-    """Return a command without its output, cut to its first batch of episodes at its first level."""
+    """Return a command without its output, cut to its first episodes at its first level."""
     kept = [word for word in words if not word.startswith(("output=", "levels=[", "episodes="))]
-    asked = next((word for word in words if word.startswith("episodes=")), None)
+    asked = next((int(word.partition("=")[2]) for word in words if word.startswith("episodes=")), MEASURED[words[1]])
+    kept.append(f"episodes={min(MEASURED[words[1]], asked)}")
     levels = next((word for word in words if word.startswith("levels=")), None)
     first = re.search(r"\d+", levels) if levels else None
-    if asked:
-        kept.append(f"episodes={min(BATCH, int(asked.partition('=')[2]))}")
     if levels or words[1] == "benchmark":
         kept.append(f"levels=[{first[0] if first else '' if levels else 1}]")
     return kept

@@ -349,13 +349,13 @@ def test_a_result_is_verified_digit_by_digit() -> None:
 @pytest.mark.parametrize(
     ("words", "first"),
     [
-        (["evaluate", "episodes=1000", "levels=[1,4]", "output=x"], ["evaluate", "episodes=250", "levels=[1]"]),
-        (["evaluate", "episodes=100", "output=x"], ["evaluate", "episodes=100"]),
-        (["benchmark", "policy=expert", "output=x"], ["benchmark", "policy=expert", "levels=[1]"]),
-        (["benchmark", "levels=[]", "output=x"], ["benchmark", "levels=[]"]),
+        (["evaluate", "episodes=1000", "levels=[1,4]", "output=x"], ["evaluate", "episodes=40", "levels=[1]"]),
+        (["evaluate", "episodes=30", "output=x"], ["evaluate", "episodes=30"]),
+        (["benchmark", "policy=expert", "output=x"], ["benchmark", "policy=expert", "episodes=8", "levels=[1]"]),
+        (["benchmark", "levels=[]", "output=x"], ["benchmark", "episodes=8", "levels=[]"]),
     ],
 )
-def test_a_verification_runs_the_first_batch_at_the_first_level(words: list[str], first: list[str]) -> None:
+def test_a_verification_runs_the_first_episodes_at_the_first_level(words: list[str], first: list[str]) -> None:
     assert verify.shortened(["hrl-comfort", *words]) == ["hrl-comfort", *first]
 
 
