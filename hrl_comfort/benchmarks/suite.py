@@ -70,18 +70,18 @@ def check(part: EvaluateConfig) -> None:
         raise ConfigError("comfort.source=none: the benchmark's discomfort is that of a level")
     for name, source in part.policies.items():
         if name != "meta_controller":
-            check_steps(part, name, source)
+            check_steps(part, f"policies.{name}", source)
     with closing(Engine(environment(part), 1, 0)) as engine:
         make_executor(part, None, engine, part.first_seed)
 
 
-def check_steps(config: EvaluateConfig, name: str, source: str) -> None:
-    """Raise ConfigError if the policy `source` is of a run whose actions are in units of another step."""
+def check_steps(config: EvaluateConfig, key: str, source: str) -> None:
+    """Raise ConfigError if the policy `source`, the value of `key`, acts in units of another step than `config` has."""
     here = config.task.max_step_deg
     trained = trained_environment(source)
     if trained is not None and (there := trained.task.max_step_deg) != here:
         raise ConfigError(
-            f"task.max_step_deg={here:g}, but policies.{name}={source!r} was trained with {there:g}, the unit of its "
+            f"task.max_step_deg={here:g}, but {key}={source!r} was trained with {there:g}, the unit of its "
             f"actions; give task.max_step_deg={there:g}, which is outside the suite"
         )
 

@@ -24,6 +24,7 @@ from pandas import DataFrame
 
 from hrl_comfort.analysis.intervals import Clusters
 from hrl_comfort.analysis.tables import cell, markdown
+from hrl_comfort.benchmarks.suite import check_steps
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CellConfig, ConfigError, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.checks import import_object
@@ -76,11 +77,13 @@ def measure(config: EvaluateConfig, shifts: int, learned: Sequence[Path] = ()) -
     Fixed orders, and then all others that are shown, work side by side; a flat policy works alone, and takes the
     objects as they are numbered.
     """
+    names = {f"{LEARNED} {folder}": told for folder, told in learners_and_seeds(learned).items()}
+    flat = [name for name, (learner, _) in names.items() if learner.startswith(f"{FLAT} ")]
+    for name in flat:
+        check_steps(config, LEARNED, name.removeprefix(f"{LEARNED} "))
     entries = open_split(replace(config, episodes=shifts)).entries
     tried = _side_by_side(config, entries, [f"{FIXED} {' '.join(order)}" for order in orders(config.cell)])
     best = str(tried.groupby("top")["return"].mean().idxmax())
-    names = {f"{LEARNED} {folder}": told for folder, told in learners_and_seeds(learned).items()}
-    flat = {name: told for name, told in names.items() if told[0].startswith(FLAT)}
     working = [*RULES, best, *(name for name in names if name not in flat)]
     shown = _side_by_side(config, entries, [IDLE, *working]).drop(columns="regret")
     judged = _side_by_side(config, entries.at(np.arange(min(shifts, JUDGED))), working, judged=True)
@@ -112,8 +115,8 @@ def _side_by_side(config: EvaluateConfig, entries: EvaluationSet, names: list[st
 
 def _alone(config: EvaluateConfig, entries: EvaluationSet, name: str) -> DataFrame:
     """Return a row for each shift of `entries` of the flat policy `name`, which has no regret: it does not choose."""
-    folder, top = name.removeprefix(f"{LEARNED} "), replace(config.meta_controller, name="none")
-    flat, shifts = replace(config, meta_controller=top, policies={}, policy=folder), len(entries.episode)
+    top, folder, shifts = config.meta_controller.alone(), name.removeprefix(f"{LEARNED} "), len(entries.episode)
+    flat = replace(config, meta_controller=top, policies={}, policy=folder)
     engine = make_engine(environment(flat), shifts, 0, entries)
     rows = worked(engine, *make_executor(flat, None, engine, 0), np.repeat(name, shifts))
     return DataFrame(rows).assign(shift=np.arange(shifts))

@@ -141,8 +141,8 @@ def plugins(key: str) -> dict[str, EntryPoint]:
 def part_name(key: str, value: str, names: tuple[str, ...]) -> None:
     """Raise ConfigError unless `value` is one of `names` or of `plugins`, or has the form `package.module:name`."""
     if value not in names and value not in plugins(key) and not is_object(value):
-        choices = ", ".join([*names, *plugins(key)])
-        raise ConfigError(f"{key}={value!r} is not allowed; choose one of {choices}, or package.module:name")
+        known = f"one of {', '.join(each)}, or " if (each := [*names, *plugins(key)]) else ""
+        raise ConfigError(f"{key}={value!r} is not allowed; choose {known}package.module:name")
 
 
 def part(key: str, name: str, known: Mapping[str, T]) -> T:

@@ -66,9 +66,10 @@ class MetaControllerConfig:
         for key, off in OPTION_KEYS.items():
             unread = self.name in ("none", "idle") or (key == "interruption_steps" and task not in SORTING)
             if unread and (value := getattr(self, key)) != off:
+                chain = " or a chain" if key == "further_options" else ""
                 raise ConfigError(
-                    f"meta_controller.{key}={value} is for a controller of skills in task={', '.join(SORTING)}, not "
-                    f"for meta_controller={self.name} in task={task}; choose {'null' if off is None else off}"
+                    f"meta_controller.{key}={value} is for a controller of skills in task={', '.join(SORTING)}{chain}, "
+                    f"not for meta_controller={self.name} in task={task}; choose {'null' if off is None else off}"
                 )
         if self.order and self.name != "fixed":
             raise ConfigError(

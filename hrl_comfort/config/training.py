@@ -93,6 +93,11 @@ class MetaControllerTrainConfig(TrainingConfig):
                 "task=sort, shift or kitting"
             )
         check_disturbance(self.disturbance, self)
+        if self.meta_controller.further_options and self.meta_controller_agent.network == "shared":
+            raise ConfigError(
+                f"meta_controller.further_options={self.meta_controller.further_options} does not go with "
+                "meta_controller_agent.network=shared, which knows the options of the task alone; choose flat"
+            )
         if self.meta_controller.name != "learned":
             name = self.meta_controller.name
             raise ConfigError(f"meta_controller.name={name!r} is not trained; choose meta_controller=learned")

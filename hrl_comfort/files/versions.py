@@ -77,6 +77,10 @@ def converted(values: Mapping[str, Any]) -> dict[str, Any]:
     top = values.get("meta_controller")
     if isinstance(top, Mapping) and top.get("name") in RULES:
         found["meta_controller"] = {**top, "name": RULES[top["name"]]}
+    robot = values.get("robot")
+    hand = robot.get("gripper") if isinstance(robot, Mapping) else None
+    if values.get("disturbance") == "drop" and isinstance(hand, Mapping) and hand.get("name") not in (None, "none"):
+        found["disturbance"] = "none"  # it was the default, and is for objects that ride on the tool
     hierarchy = values.get("hierarchy")
     if isinstance(hierarchy, Mapping) and isinstance(hierarchy.get("controller"), Mapping):
         found["hierarchy"] = {**hierarchy, "controller": converted(hierarchy["controller"])}

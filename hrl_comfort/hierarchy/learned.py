@@ -97,7 +97,7 @@ def load_choice(
     if names != options or spec["levels"] != levels:
         raise ConfigError(
             f"{key} chooses among {names} at {spec['levels']} levels; "
-            f"here there are {options} at {levels} (meta_controller.level_override, task.objects)"
+            f"here there are {options} at {levels} (meta_controller.level_override, further_options, task.objects)"
         )
     for name, asked in {"max_waits": max_waits, "interruption_steps": interruption_steps}.items():
         if spec[name] != asked:

@@ -35,11 +35,18 @@ def with_own(
     found = list(choices)
     for name in meta_controller.further_options:
         given: Any = part(FURTHER_OPTIONS, name, {})
-        made = given(scene, config, seed) if callable(given) and not isinstance(given, Option) else given
+        try:
+            made = given if isinstance(given, Option) or not callable(given) else given(scene, config, seed)
+        except TypeError as error:
+            raise ConfigError(f"{FURTHER_OPTIONS}={name!r} failed: TypeError: {error}") from error
         if not isinstance(made, Option):
             raise ConfigError(
                 f"{FURTHER_OPTIONS}={name!r} is of type {type(made).__name__}; it must be a hrl_comfort.hierarchy."
                 "options.Option, or a function of scene, configuration and seed that returns one"
+            )
+        if not isinstance(made.name, str) or not made.name:
+            raise ConfigError(
+                f"{FURTHER_OPTIONS}={name!r} is named {made.name!r}; a name is a string that is not empty"
             )
         taken = [each.name for each in found]
         if made.name in taken:

@@ -12,7 +12,7 @@ from hrl_comfort.results import looks, pages
 from hrl_comfort.results.manifest import PHASES, Entry, entry, manifest, tracked
 from hrl_comfort.results.record import read_record, state
 from hrl_comfort.results.remake import remake
-from hrl_comfort.results.verify import verify
+from hrl_comfort.results.verify import can_be_verified, verify
 
 
 def results(config: ResultsConfig) -> None:
@@ -28,7 +28,7 @@ def results(config: ResultsConfig) -> None:
         for line in looks.merge():
             print(line)
     for name, each in chosen(
-        "verify", config.verify, lambda name, each: bool(each.keeps_episodes() and read_record(name))
+        "verify", config.verify, lambda name, each: bool(can_be_verified(each) and read_record(name))
     ):
         wrong = verify(name, each)
         if wrong:

@@ -59,10 +59,6 @@ class Entry(BaseModel):
         """Return the patterns that no file matches."""
         return [pattern for pattern in self.artefacts if not any(fnmatch(path, pattern) for path in _beside(pattern))]
 
-    def keeps_episodes(self) -> bool:
-        """Return whether episodes of the evaluations are committed, with which new ones can be compared."""
-        return any(pattern.endswith("/episodes.parquet") for pattern in self.artefacts)
-
     def owns(self, path: str) -> bool:
         """Return whether a file, from the root of the checkout, is an artefact of this entry."""
         return any(fnmatch(path, pattern) for pattern in self.artefacts)

@@ -6,6 +6,7 @@ Both are run on one machine, since a product of matrices may differ in its last 
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +15,7 @@ from tempfile import TemporaryDirectory
 from pandas import DataFrame
 
 from hrl_comfort.config import ConfigError
-from hrl_comfort.files.provenance import ROOT, git
+from hrl_comfort.files.provenance import ROOT, commit, git
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.results.manifest import Entry
 from hrl_comfort.results.record import need_clean_tree, read_record, write_record
@@ -25,7 +26,12 @@ KEYS = ["episode", "comfort_level"]
 MEASURED = {"evaluate": 40, "benchmark": 8}
 """Commands that write episodes, and how many of them are compared, of each task of the benchmark."""
 SHORT = {
-    "hierarchy": ("agent.policy_steps=2500", "hierarchy.episodes=8", "hierarchy.terminal_states_episodes=16"),
+    "hierarchy": (
+        "agent.policy_steps=2500",
+        "hierarchy.episodes=8",
+        "hierarchy.terminal_states_episodes=16",
+        "hierarchy.refinement=[]",
+    ),
     "meta_controller": ("meta_controller_agent.options=400", "meta_controller_agent.warmup_options=100"),
     "skill": ("agent.policy_steps=2500",),
 }
@@ -42,12 +48,19 @@ def verify(name: str, entry: Entry) -> str:
       ConfigError: there is nothing to compare, a command fails, or a file has uncommitted changes.
     """
     made, record = need_clean_tree(), read_record(name)
+    if record is None or record.commit.endswith("+") or not can_be_verified(entry):
+        raise ConfigError(
+            f"verify={name}: it has no record of a commit, or no command that writes episodes; give remake={name}"
+        )
     each = [Entry(**{**entry.model_dump(), "seeds": [seed]}) for seed in entry.seeds] or [entry]
     evaluated = [[words for words in one.commands("evaluate") if words[1] in MEASURED] for one in each]
-    if record is None or not evaluated[0]:
-        raise ConfigError(f"verify={name}: it has no record, or no command that writes episodes; give remake={name}")
+    recorded = [shlex.split(line) for line in record.commands]
+    if odd := next((words for found in evaluated for words in found if words not in recorded), None):
+        raise ConfigError(f"verify={name}: its record has no command {' '.join(odd)}; give remake={name}")
     kept = next((index for index, found in enumerate(evaluated) if all(map(has_policies, found))), None)
     trained = each[0].commands("train") if kept is None else []
+    if kept is None and not trained:
+        raise ConfigError(f"verify={name}: its policies are not kept, and it trains none")
     with TemporaryDirectory() as folder, code_of(record.verified or record.commit, Path(folder) / "code") as before:
         runs = [
             first_episodes([*map(shortly, trained)], evaluated[kept or 0], code, Path(folder) / side)
@@ -56,15 +69,22 @@ def verify(name: str, entry: Entry) -> str:
     for (asked, known), (_, again) in zip(*runs, strict=True):
         if wrong := difference(known, again):
             return f"{asked}: {wrong}"
+    if commit() != made:
+        raise ConfigError(f"verify={name}: the code changed meanwhile; verify it again")
     write_record(name, record.model_copy(update={"verified": made}))
     return ""
 
 
+def can_be_verified(entry: Entry) -> bool:
+    """Return whether a command of an entry writes episodes."""
+    return any(words[1] in MEASURED for words in entry.commands("evaluate"))
+
+
 @contextmanager
-def code_of(commit: str, folder: Path) -> Iterator[Path]:
+def code_of(made: str, folder: Path) -> Iterator[Path]:
     """Check a commit out into a folder for as long; raise ConfigError if it is not in this clone."""
-    if git("worktree", "add", "--detach", "--force", str(folder), commit) is None:
-        raise ConfigError(f"commit {commit[:7]} is not in this clone; fetch it")
+    if git("worktree", "add", "--detach", "--force", str(folder), made) is None:
+        raise ConfigError(f"commit {made[:7]} cannot be checked out; if it is not in this clone, fetch it")
     try:
         yield folder
     finally:
@@ -76,27 +96,26 @@ def first_episodes(
 ) -> list[tuple[str, DataFrame]]:
     """Return a command and its episodes for each evaluation, run by the package in `code`, with runs in `folder`."""
     for words in trained:
-        run([placed(word, folder) for word in words], code)
+        run([placed(word, folder, True) for word in words], code)
     found = []
     for index, words in enumerate(evaluated):
-        again = [placed(word, folder) for word in [*shortened(words), f"output=runs/{index}"]]
+        again = [placed(word, folder, bool(trained)) for word in [*shortened(words), f"output=runs/{index}"]]
         run(again, code)
         found += [(" ".join(words), read(path)) for path in evaluations_of(again)]
     return found
 
 
-def placed(word: str, folder: Path) -> str:
-    """Return a word of a command whose run folder, if it names one, is in `folder` unless it is one to read here."""
-    key, is_given, value = word.partition("=")
-    if not is_given or not value.startswith("runs/") or (key != "output" and (ROOT / value).exists()):
-        return word
-    return f"{key}={folder / value}"
+def placed(word: str, folder: Path, trained: bool) -> str:
+    """Return a word of a command whose run folder is in `folder` if it is an output, or one of what is `trained`."""
+    key, _, value = word.partition("=")
+    return f"{key}={folder / value}" if value.startswith("runs/") and (trained or key == "output") else word
 
 
 def has_policies(words: Sequence[str]) -> bool:
     """Return whether the run folders that a command names as policies are there."""
     given = (word.partition("=")[2] for word in words if word.startswith(("policy=", "policies.")))
-    return all((ROOT / value).exists() for value in given if value.startswith("runs/"))
+    folders = [ROOT / value for value in given if value.startswith("runs/")]
+    return all(each.is_file() or any(each.rglob("*.pt")) for each in folders)
 
 
 def shortly(words: Sequence[str]) -> list[str]:
@@ -107,12 +126,15 @@ def shortly(words: Sequence[str]) -> list[str]:
 
 
 def shortened(words: Sequence[str]) -> list[str]:
-    """Return a command without its output, cut to its first episodes at its first level."""
+    """Return a command without its output, cut to its first episodes at its first level, none of them of `test`."""
     kept = [word for word in words if not word.startswith(("output=", "levels=[", "episodes="))]
+    kept = ["split=validation" if word == "split=test" else word for word in kept]
     asked = next((int(word.partition("=")[2]) for word in words if word.startswith("episodes=")), MEASURED[words[1]])
     kept.append(f"episodes={min(MEASURED[words[1]], asked)}")
     levels = next((word for word in words if word.startswith("levels=")), None)
     first = re.search(r"\d+", levels) if levels else None
+    if words[1] == "benchmark":
+        kept.append("split=validation")
     if levels or words[1] == "benchmark":
         kept.append(f"levels=[{first[0] if first else '' if levels else 1}]")
     return kept
@@ -127,9 +149,9 @@ def read(folder: Path) -> DataFrame:
 
 def difference(known: DataFrame, again: DataFrame) -> str:
     """Return the first cell in which episodes differ from the known ones, or nothing."""
-    both = again.merge(known, on=KEYS, suffixes=("", " before"), how="left", indicator=True)
+    both = again.merge(known, on=KEYS, suffixes=("", " before"), how="outer", indicator=True)
     if (both["_merge"] != "both").any():
-        return "episodes that were not there before"
+        return "other episodes"
     for column in known.columns.difference(KEYS):
         if column not in again:
             return f"no column {column} any more"

@@ -112,7 +112,7 @@ def test_a_policy_trained_with_other_steps_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"task\.max_step_deg=1\.4, but policies\.pick=.* was trained with 2"):
         suite.benchmark(asked(str(tmp_path), f"output='{tmp_path / 'entry'}'"))
     with pytest.raises(ConfigError, match=r"policies\.pick=.*policy\.pt' was trained with 2"):
-        suite.check_steps(part("policy=expert"), "pick", str(tmp_path / "pick" / "policy.pt"))
+        suite.check_steps(part("policy=expert"), "policies.pick", str(tmp_path / "pick" / "policy.pt"))
     assert not (tmp_path / "entry").exists()
 
 

@@ -26,7 +26,7 @@ SKILLS = ("policies.pick=expert", "policies.place=expert", "policies.return=expe
 
 def raise_arm(state: State) -> Tensor:
     action = torch.zeros_like(state.joint_pos)
-    action[:, 1] = -1.0
+    action[:, 1] = (5 * (state.joint_home - state.joint_pos)[:, 1]).clamp(-1.0, 1.0)
     return action
 
 
@@ -40,6 +40,9 @@ WIDE = replace(RAISE, policy=lambda state: torch.zeros(len(state.stage), 9))
 ENDLESS = replace(RAISE, policy=lambda state: torch.full_like(state.joint_pos, torch.nan))
 ODD = replace(RAISE, initiation=lambda state: state.joint_pos > 0)
 NEVER_OVER = replace(RAISE, termination=lambda state, begun: False)  # type: ignore[arg-type, return-value]
+
+
+NAMELESS = replace(RAISE, name=3)  # type: ignore[arg-type]
 
 
 def made(scene: Scene, config: EnvConfig, seed: int) -> Option:
@@ -82,6 +85,8 @@ def test_a_function_makes_an_option_for_the_scene() -> None:
         ("SKILLS", "is of type tuple; it must be a hrl_comfort.hierarchy.options.Option, or a function"),
         ("PLACE", "is named 'place', as another option; those are pick_1, place, return, wait, retreat"),
         ("missing", "has no missing"),
+        ("raise_arm", r"failed: TypeError: raise_arm\(\) takes 1 positional argument but 3 were given"),
+        ("NAMELESS", "is named 3; a name is a string that is not empty"),
     ],
 )
 def test_what_is_no_option_is_refused(option: str, said: str) -> None:

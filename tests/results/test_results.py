@@ -263,6 +263,7 @@ EVALUATED = MADE.model_copy(
     }
 )
 """A result of a training."""
+COMMANDS = [" ".join(words) for phase in PHASES for words in EVALUATED.commands(phase)]
 
 
 class Ran:
@@ -291,11 +292,13 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> Ran:
 
 
 def test_a_result_is_verified_by_the_code_of_its_record_and_that_of_now(checkout: Path, ran: Ran) -> None:
-    with pytest.raises(ConfigError, match=r"^verify=made: it has no record, or no command that writes episodes; give"):
+    with pytest.raises(ConfigError, match=r"^verify=made: it has no record of a commit, or no command that writes"):
         verify.verify("made", EVALUATED)
     (checkout / "runs" / "p1").mkdir()
-    first = str(provenance.commit())
-    record.write_record("made", record.Record(commit=first, commands=[]))
+    (checkout / "runs" / "p1" / "policy.pt").touch()
+    (checkout / "runs" / "p0").mkdir()  # as with committed episodes of policies that are not
+    first = commit(checkout)
+    record.write_record("made", record.Record(commit=first, commands=COMMANDS))
     (checkout / "other.py").write_text("", encoding="utf-8")
     second = commit(checkout)
     assert verify.verify("made", EVALUATED) == "", "the code that decides is the same"
@@ -309,7 +312,7 @@ def test_a_result_is_verified_by_the_code_of_its_record_and_that_of_now(checkout
 
 
 def test_where_no_policies_are_kept_the_first_seed_is_trained_for_a_few_steps_by_both(checkout: Path, ran: Ran) -> None:
-    record.write_record("made", record.Record(commit=str(provenance.commit()), commands=[]))
+    record.write_record("made", record.Record(commit=str(provenance.commit()), commands=COMMANDS))
     assert verify.verify("made", EVALUATED) == ""
     trained, evaluated, *now = ran.words
     assert [words[1] for words in now] == ["train", "evaluate"] and trained[:3] == ["hrl-comfort", "train", "hierarchy"]
@@ -318,7 +321,28 @@ def test_where_no_policies_are_kept_the_first_seed_is_trained_for_a_few_steps_by
     assert f"policy={folder}" in evaluated and not Path(folder).exists() and not (checkout / "runs" / "p0").exists()
 
 
+def test_what_cannot_be_compared_is_not_verified(checkout: Path, ran: Ran) -> None:
+    here = str(provenance.commit())
+    record.write_record("made", record.Record(commit=here, commands=[]))
+    with pytest.raises(
+        ConfigError, match=r"^verify=made: its record has no command hrl-comfort evaluate policy=runs/p0"
+    ):
+        verify.verify("made", EVALUATED)
+    record.write_record("made", record.Record(commit=here, commands=COMMANDS))
+    with pytest.raises(ConfigError, match=r"^verify=made: its policies are not kept, and it trains none$"):
+        verify.verify("made", EVALUATED.model_copy(update={"train": []}))
+    record.write_record("made", record.Record(commit="0" * 40, commands=COMMANDS))
+    with pytest.raises(
+        ConfigError, match=r"^commit 0000000 cannot be checked out; if it is not in this clone, fetch it"
+    ):
+        verify.verify("made", EVALUATED)
+    assert ran.words == []
+
+
 def test_another_checkout_of_the_package_runs_a_command(checkout: Path, tmp_path: Path) -> None:
+    here = checkout / "hrl_comfort" / "__main__.py"
+    here.parent.mkdir()
+    here.write_text("raise SystemExit(1)\n", encoding="utf-8")
     package = tmp_path / "code" / "hrl_comfort"
     package.mkdir(parents=True)
     (package / "__init__.py").touch()
@@ -343,16 +367,21 @@ def test_a_result_is_verified_digit_by_digit() -> None:
     other = episodes(**{"return": [0.500001, None]})
     assert verify.difference(known, other) == "episode 0: return 0.500001, before 0.5"
     assert verify.difference(known, episodes().drop(columns="return")) == "no column return any more"
-    assert verify.difference(known[:1], episodes()) == "episodes that were not there before"
+    assert verify.difference(known[:1], episodes()) == "other episodes"
+    assert verify.difference(known, episodes()[:1]) == "other episodes"
 
 
 @pytest.mark.parametrize(
     ("words", "first"),
     [
         (["evaluate", "episodes=1000", "levels=[1,4]", "output=x"], ["evaluate", "episodes=40", "levels=[1]"]),
+        (["evaluate", "split=test", "output=x"], ["evaluate", "split=validation", "episodes=40"]),
         (["evaluate", "episodes=30", "output=x"], ["evaluate", "episodes=30"]),
-        (["benchmark", "policy=expert", "output=x"], ["benchmark", "policy=expert", "episodes=8", "levels=[1]"]),
-        (["benchmark", "levels=[]", "output=x"], ["benchmark", "episodes=8", "levels=[]"]),
+        (
+            ["benchmark", "policy=expert", "output=x"],
+            ["benchmark", "policy=expert", "episodes=8", "split=validation", "levels=[1]"],
+        ),
+        (["benchmark", "levels=[]", "output=x"], ["benchmark", "episodes=8", "split=validation", "levels=[]"]),
     ],
 )
 def test_a_verification_runs_the_first_episodes_at_the_first_level(words: list[str], first: list[str]) -> None:

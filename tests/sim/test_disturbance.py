@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 
 from hrl_comfort.composition.compose import compose
-from hrl_comfort.config import ConfigError, EvaluateConfig
+from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerTrainConfig
 from hrl_comfort.evaluation.rollout import Result, rollout
-from hrl_comfort.files.run_config import environment
+from hrl_comfort.files.run_config import environment, load_config, save_config
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.variation.disturbance import BLOCK_STEPS
 
@@ -81,3 +82,13 @@ def test_an_unknown_disturbance_is_refused() -> None:
 def test_a_controller_above_a_hand_is_not_trained_with_objects_that_fall_off_a_tool() -> None:
     with pytest.raises(ConfigError, match="disturbance=drop is for objects that ride on the tool"):
         compose("train_meta_controller", ["cell=bench_hand", "output=unused"])
+
+
+def test_a_training_above_a_hand_of_an_earlier_version_is_read_without_objects_that_fall(tmp_path: Path) -> None:
+    file = tmp_path / "config.yaml"
+    save_config(compose("train_meta_controller", ["cell=bench_hand", "disturbance=none"]), file)
+    file.write_text(
+        file.read_text(encoding="utf-8").replace("disturbance: none", "disturbance: drop"), encoding="utf-8"
+    )
+    config = load_config(tmp_path)
+    assert isinstance(config, MetaControllerTrainConfig) and config.disturbance == "none"

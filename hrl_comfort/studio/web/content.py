@@ -139,6 +139,7 @@ def refuse(config: StudioConfig) -> None:
         ("disturbance", config.disturbance, "none"),
         ("randomise", "given" if config.randomise.differs else "none", "none"),
         ("beside", config.beside, None),
+        ("meta_controller.further_options", config.meta_controller.further_options, []),
     )
     for key, value, only in allowed:
         if value != only:
