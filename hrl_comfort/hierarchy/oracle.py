@@ -16,7 +16,7 @@ from hrl_comfort.hierarchy.options import Cause
 from hrl_comfort.hierarchy.tops import due
 from hrl_comfort.sim.engine import Engine
 
-HORIZON_S = 15.0
+HORIZON_S = 30.0
 """Time for which the oracle looks ahead, s."""
 
 
