@@ -1,7 +1,7 @@
 """Learners of Stable-Baselines3 and sb3-contrib as tops of `kitting` (extra `sb3`).
 
-`python -m hrl_comfort.benchmarks.sb3_tops LEARNER CHOICES SEED FOLDER WORDS…` trains one for so many choices, by the
-settings of its documentation, and writes FOLDER; the words are those of `hrl-comfort evaluate`. `benchmarks.tops` sets
+`python -m hrl_comfort.benchmarks.sb3_tops LEARNER CHOICES SEED FOLDER WORDS…` trains one for CHOICES options, by its
+defaults but for OWN, and writes FOLDER; the words are those of `hrl-comfort evaluate`. `benchmarks.tops` sets
 it beside other tops.
 """
 
@@ -48,7 +48,7 @@ OWN: dict[str, dict[str, Any]] = {
         "exploration_fraction": 0.5,
     },
 }
-"""What is not as by default: the discount over an option; of QRDQN an update a choice, as of our double DQN."""
+"""Keys that differ from the defaults: the discount over an option; for QRDQN an update a choice, as in our DQN."""
 FILE, LIBRARY = "model.zip", "sb3"
 
 

@@ -48,7 +48,7 @@ WORDS = (
     "task.terminate_on=unsafe_contact", "meta_controller=nearest", "policies.pick=direct", "policies.place=direct",
     "policies.return=direct", "meta_controller.level_override=[]", "split=validation",
 )  # fmt: skip
-"""The world that is measured, and scripted skills behind the shield, which no level changes, in words of `evaluate`."""
+"""The world that is measured, and scripted skills behind the shield at its one level, in words of `evaluate`."""
 IDLE = "idle"
 RULES = ("random", "nearest", "free", "patient", "due")
 JUDGED = 12

@@ -55,7 +55,7 @@ def remake(name: str, entry: Entry, train: bool, jobs: int) -> None:
 
 
 def run(words: Sequence[str], code: Path | None = None) -> None:
-    """Run a command of the manifest in the checkout, by the package in it or in the folder `code`.
+    """Run a command of the manifest in the checkout, with its package or that of another checkout, `code`.
 
     Raises:
       ConfigError: it fails.
@@ -63,7 +63,7 @@ def run(words: Sequence[str], code: Path | None = None) -> None:
     print(" ".join(words), flush=True)
     program = ["-m", "hrl_comfort", *words[1:], "--overwrite"] if words[0] == "hrl-comfort" else words[1:]
     given = {"OMP_NUM_THREADS": "1"}
-    if code not in (None, ROOT):  # safe: the working directory is not before it
+    if code not in (None, ROOT):  # else the package of the working directory comes first
         given |= {"PYTHONPATH": str(code), "PYTHONSAFEPATH": "1"}
     done = subprocess.run([sys.executable, *program], cwd=ROOT, env={**os.environ, **given}, stdout=subprocess.DEVNULL)
     if done.returncode:

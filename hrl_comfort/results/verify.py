@@ -24,7 +24,7 @@ from hrl_comfort.results.remake import evaluations_of, run
 KEYS = ["episode", "comfort_level"]
 """Columns that tell an episode of an evaluation."""
 MEASURED = {"evaluate": 40, "benchmark": 8}
-"""Commands that write episodes, and how many of them are compared, of each task of the benchmark."""
+"""Commands that write episodes, each with the number of episodes that are compared (of each task of a benchmark)."""
 SHORT = {
     "hierarchy": (
         "agent.policy_steps=2500",
