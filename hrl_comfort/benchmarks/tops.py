@@ -4,6 +4,7 @@ In some shifts the oracle judges the choices of all but an idle arm and fixed or
 
 `python -m hrl_comfort.benchmarks.tops FILE.csv SHIFTS [learned=PATTERN…] WORDS…` measures them, and the learned tops
 and flat policies whose run folders match the patterns; the words, those of `hrl-comfort evaluate`, come after WORDS.
+Tops that are in the file are not measured again.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from hrl_comfort.config.checks import import_object
 from hrl_comfort.config.hierarchy import ORACLE
 from hrl_comfort.evaluation.ledger import open_split
 from hrl_comfort.files.run_config import environment, load_config
-from hrl_comfort.files.tables import write_table
+from hrl_comfort.files.tables import read_table, write_table
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.decision import Choose, Decision, Top
 from hrl_comfort.hierarchy.executor import OptionExecutor, execute
@@ -69,30 +70,66 @@ TERMS = {
 }
 """Columns of the CSV and their heads in the table; all but the first and the last are reward terms with their weights.
 The regret is the sum of that of each choice (`hierarchy.oracle`), empty where nobody judged."""
+COLUMNS = ("top", "seed", "shift", *TERMS)
 
 
-def measure(config: EvaluateConfig, shifts: int, learned: Sequence[Path] = ()) -> DataFrame:
+def measure(
+    config: EvaluateConfig, shifts: int, learned: Sequence[Path] = (), done: DataFrame | None = None
+) -> DataFrame:
     """Return a row for each top and shift, of a learned one by its learner and with its training seed.
 
     Fixed orders, and then all others that are shown, work side by side; a flat policy works alone, and takes the
-    objects as they are numbered.
+    objects as they are numbered. Tops of rows that are `done` already do not work again, but for RULE, for comparison.
+
+    Raises:
+      ConfigError: what is `done` is of other shifts, or of another world.
     """
     names = {f"{LEARNED} {folder}": told for folder, told in learners_and_seeds(learned).items()}
     flat = [name for name, (learner, _) in names.items() if learner.startswith(f"{FLAT} ")]
     for name in flat:
         check_steps(config, LEARNED, name.removeprefix(f"{LEARNED} "))
     entries = open_split(replace(config, episodes=shifts)).entries
+    if done is None:
+        done = _untrained(config, entries)
+    else:
+        _check_same(done, _side_by_side(config, entries, [RULE]))
+    ready = set(zip(done["top"], done["seed"], strict=True))
+    new = {name: told for name, told in names.items() if told not in ready}
+    tops = [name for name in new if name not in flat]
+    rows = [_judged(config, entries, tops)] if tops else []
+    rows += [_alone(config, entries, name) for name in new if name in flat]
+    trained = [
+        each.assign(top=each["top"].map(lambda name: new[name][0]), seed=each["top"].map(lambda name: new[name][1]))
+        for each in rows
+    ]
+    return pd.concat([done, *trained], ignore_index=True).astype({"seed": "Int64"})[list(COLUMNS)]
+
+
+def _untrained(config: EvaluateConfig, entries: EvaluationSet) -> DataFrame:
+    """Return the rows of all tops that need no training."""
     tried = _side_by_side(config, entries, [f"{FIXED} {' '.join(order)}" for order in orders(config.cell)])
     best = str(tried.groupby("top")["return"].mean().idxmax())
-    working = [*RULES, best, *(name for name in names if name not in flat)]
-    shown = _side_by_side(config, entries, [IDLE, *working]).drop(columns="regret")
-    judged = _side_by_side(config, entries.at(np.arange(min(shifts, JUDGED))), working, judged=True)
-    shown = shown.merge(judged[["top", "shift", "regret"]], how="left")
+    idle = _side_by_side(config, entries, [IDLE])
     oracle = _side_by_side(config, entries, [ORACLE]).assign(regret=0.0)
-    alone = [_alone(config, entries, name) for name in flat]
-    rows = pd.concat([shown, tried[tried["top"] != best], *alone, oracle], ignore_index=True)
-    learners, seeds = zip(*(names.get(name, (name, pd.NA)) for name in rows["top"]), strict=True)
-    return rows.assign(top=learners, seed=pd.array(seeds, dtype="Int64"))
+    every = [idle, _judged(config, entries, [*RULES, best]), tried[tried["top"] != best], oracle]
+    return pd.concat(every, ignore_index=True).assign(seed=pd.NA)
+
+
+def _judged(config: EvaluateConfig, entries: EvaluationSet, names: list[str]) -> DataFrame:
+    """Return the rows of tops, with the regret in the first JUDGED shifts."""
+    shown = _side_by_side(config, entries, names).drop(columns="regret")
+    first = entries.at(np.arange(min(len(entries.episode), JUDGED)))
+    judged = _side_by_side(config, first, names, judged=True)
+    return shown.merge(judged[["top", "shift", "regret"]], how="left")
+
+
+def _check_same(done: DataFrame, again: DataFrame) -> None:
+    """Raise ConfigError if RULE does not earn what it did."""
+    before = done[done["top"] == RULE].sort_values("shift")
+    if len(before) != len(again):
+        raise ConfigError(f"the file is there already, of {len(before)} shifts; choose another file")
+    if not np.allclose(before["return"], again["return"], rtol=0, atol=1e-5):
+        raise ConfigError(f"the file is there already, and {RULE} earned other returns there; choose another file")
 
 
 def _side_by_side(config: EvaluateConfig, entries: EvaluationSet, names: list[str], judged: bool = False) -> DataFrame:
@@ -176,7 +213,7 @@ def table(rows: DataFrame) -> str:
     """
     of = {str(name): group.sort_values(["seed", "shift"]) for name, group in rows.groupby("top", sort=False)}
     best = max((name for name in of if name.startswith(FIXED)), key=lambda name: float(of[name]["return"].mean()))
-    shown = [name for name in of if name == best or not name.startswith(FIXED)]
+    shown = sorted((name for name in of if name == best or not name.startswith(FIXED)), key=ORACLE.__eq__)
     beside = {name: of[name].set_index("shift")["return"] for name in (RULE, ORACLE)}
     lines = []
     for name in shown:
@@ -233,6 +270,18 @@ def found(pattern: str) -> list[Path]:
     return folders
 
 
+def read_rows(path: Path) -> DataFrame | None:
+    """Return the rows of a file of this command; None if it is not there.
+
+    Raises:
+      ConfigError: the file is not of this command.
+    """
+    rows = read_table(path)
+    if rows is not None and set(rows) != set(COLUMNS):
+        raise ConfigError(f"{path} is there already, and has other columns; choose another file")
+    return rows
+
+
 def clustered(rows: DataFrame) -> DataFrame:
     """Return the rows of a learned top with the columns that say what they share."""
     return rows.rename(columns={"seed": "train_seed", "shift": "spawn_id"})
@@ -246,11 +295,11 @@ def main(words: Sequence[str]) -> None:
     learned = [folder for pattern in patterns for folder in found(pattern)]
     config = compose("evaluate", [*WORDS, *(word for word in asked if not word.startswith("learned="))])
     assert isinstance(config, EvaluateConfig)
-    rows = measure(config, int(shifts), learned)
+    rows = measure(config, int(shifts), learned, read_rows(Path(path)))
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     filled = rows.astype(object).where(rows.notna(), None)
-    write_table(Path(path), list(rows), filled.itertuples(index=False, name=None))
-    print(table(pd.read_csv(path)))
+    write_table(Path(path), COLUMNS, filled.itertuples(index=False, name=None))
+    print(table(rows))
 
 
 if __name__ == "__main__":

@@ -267,7 +267,14 @@ def test_all_that_work_but_fixed_orders_that_are_not_the_best_are_told_their_reg
     monkeypatch.setattr(looking, "HORIZON_S", 2.0)
     learned = [trained(tmp_path / f"{name}_{seed}", name, seed) for name, seed in (("dqn", 3), ("dqn", 4), ("ppo", 3))]
     learned += [trained_flat(tmp_path / "flat"), trained_elsewhere(tmp_path / "sb3", "MaskablePPO", monkeypatch)]
-    everything = choice.measure(kitting("task.max_episode_steps=400"), 2, learned)
+    path, here = tmp_path / "tops.csv", ["cell=bench", "robot=ur3e", "output=unused", "task.max_episode_steps=400"]
+    choice.main([str(path), "2", f"learned={learned[0]}", *here])
+    before = choice.read_rows(path)
+    monkeypatch.setattr(choice, "_untrained", lambda *_: pytest.fail("measured again"))
+    choice.main([str(path), "2", *(f"learned={folder}" for folder in learned), *here])
+    everything = choice.read_rows(path)
+    assert before is not None and everything is not None
+    pd.testing.assert_frame_equal(everything[: len(before)], before)
     rows = everything[everything["seed"].isna()]
     assert everything.groupby(["top", "seed"])["shift"].count().to_dict() == {
         ("dqn", 3): 2, ("dqn", 4): 2, ("ppo", 3): 2, ("flat sac", 0): 2, ("sb3 MaskablePPO", 2): 2
@@ -284,3 +291,9 @@ def test_all_that_work_but_fixed_orders_that_are_not_the_best_are_told_their_reg
     assert (rows.groupby("top")["shift"].nunique() == 2).all() and len(rows) == 2 * rows["top"].nunique()
     lines = choice.table(rows).splitlines()
     assert "regret" in lines[0] and {line.split("`")[1] for line in lines[2:]} == set(shown)
+    for shifts, other, why in (("3", [], "of 2 shifts"), ("2", ["safety=none"], "due earned other returns there")):
+        with pytest.raises(ConfigError, match=f"^the file is there already, .*{why}; choose another file$"):
+            choice.main([str(path), shifts, *here, *other])
+    pd.DataFrame({"top": ["due"]}).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match=r"tops.csv is there already, and has other columns; choose another file$"):
+        choice.main([str(path), "2", *here])
