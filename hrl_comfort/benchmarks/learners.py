@@ -30,14 +30,13 @@ from hrl_comfort.training.collector import make_collector
 from hrl_comfort.training.trainer import Training, train
 
 WORDS = (
-    "agent=demonstrated", "cell=grasp", "human=mixture", "safety=ssm", "robot.rating=collaborative",
-    "randomise=objects", "curriculum=grasp", "task.observation=sight", "task.terminate_on=unsafe_contact",
-    "task.object_jitter_m=0.07", "task.precision.grasp_tolerance_m=0.05", "task.precision.place_tolerance_m=0.05",
-    "task.max_episode_steps=600", "task.max_step_deg=1", "engine.num_envs=64", "agent.learning_starts=1000",
-    "agent.buffer_size=200000", "agent.target_entropy=-7", "agent.demonstrator=expert",
-    "agent.demonstrator_envs=16", "agent.demonstrator_takeover=0.1",
+    "agent=demonstrated", "cell=grasp", "human=none", "randomise=objects", "curriculum=grasp",
+    "task.observation=sight", "task.object_jitter_m=0.07", "task.precision.grasp_tolerance_m=0.05",
+    "task.precision.place_tolerance_m=0.05", "task.max_episode_steps=600", "task.max_step_deg=1",
+    "engine.num_envs=64", "agent.learning_starts=1000", "agent.buffer_size=200000", "agent.target_entropy=-7",
+    "agent.demonstrator=expert", "agent.demonstrator_envs=16", "agent.demonstrator_takeover=0.1",
 )  # fmt: skip
-"""The world and the demonstrations of the experiment `grasp`, on its table, in words of `train`."""
+"""The demonstrations of the experiment `grasp`, on its table without people, in words of `train`."""
 TASKS = ("pick", "place", "return")
 LEARNERS = {"sac": [], "tqc": [], "crossq": [], "redq": ["agent.updates_per_policy_step=1"]}
 """Learners, and what sets one apart beside its name and the defaults of its own keys."""
@@ -47,7 +46,7 @@ COLUMNS = ("asked_min", "task", "learner", "seed", "policy_steps", "minutes", "s
 """`minutes` are those that a training took of a core: near to those asked for, if not the same."""
 SPENT = {"minutes": 2, "policy_steps": 0}
 """Columns that tell the cost of a training, and the digits that the table gives."""
-PACE_STEPS, PACE_ROUNDS = 2560, 3
+PACE_STEPS, PACE_ROUNDS = 640, 3
 """Policy steps in which the pace of a learner is measured, and how often: the learners take turns."""
 
 
