@@ -51,7 +51,7 @@ WORDS = (
 )  # fmt: skip
 """The world that is measured, and scripted skills behind the shield at its one level, in words of `evaluate`."""
 IDLE = "idle"
-RULES = ("random", "nearest", "free", "patient", "due")
+RULES = ("random", "nearest", "free", "patient", "due", "greedy")
 JUDGED = 12
 """Number of shifts, the first, in which the oracle judges every choice, for which it tries every option."""
 RULE = "due"
@@ -90,28 +90,28 @@ def measure(
         check_steps(config, LEARNED, name.removeprefix(f"{LEARNED} "))
     entries = open_split(replace(config, episodes=shifts)).entries
     if done is None:
-        done = _untrained(config, entries)
+        done = _beside(config, entries)
     else:
         _check_same(done, _side_by_side(config, entries, [RULE]))
     ready = set(zip(done["top"], done["seed"], strict=True))
     new = {name: told for name, told in names.items() if told not in ready}
-    tops = [name for name in new if name not in flat]
+    rules = [name for name in RULES if name not in set(done["top"])]
+    tops = rules + [name for name in new if name not in flat]
     rows = [_judged(config, entries, tops)] if tops else []
     rows += [_alone(config, entries, name) for name in new if name in flat]
-    trained = [
-        each.assign(top=each["top"].map(lambda name: new[name][0]), seed=each["top"].map(lambda name: new[name][1]))
-        for each in rows
-    ]
-    return pd.concat([done, *trained], ignore_index=True).astype({"seed": "Int64"})[list(COLUMNS)]
+    told = {**{name: (name, pd.NA) for name in rules}, **new}
+    known = [done, *(each.assign(seed=[told[name][1] for name in each["top"]]) for each in rows)]
+    every = pd.concat(known, ignore_index=True).astype({"seed": "Int64"})
+    return every.assign(top=[told.get(name, (name,))[0] for name in every["top"]])[list(COLUMNS)]
 
 
-def _untrained(config: EvaluateConfig, entries: EvaluationSet) -> DataFrame:
-    """Return the rows of all tops that need no training."""
+def _beside(config: EvaluateConfig, entries: EvaluationSet) -> DataFrame:
+    """Return the rows of an idle arm, of fixed orders and of the oracle."""
     tried = _side_by_side(config, entries, [f"{FIXED} {' '.join(order)}" for order in orders(config.cell)])
     best = str(tried.groupby("top")["return"].mean().idxmax())
     idle = _side_by_side(config, entries, [IDLE])
     oracle = _side_by_side(config, entries, [ORACLE]).assign(regret=0.0)
-    every = [idle, _judged(config, entries, [*RULES, best]), tried[tried["top"] != best], oracle]
+    every = [idle, _judged(config, entries, [best]), tried[tried["top"] != best], oracle]
     return pd.concat(every, ignore_index=True).assign(seed=pd.NA)
 
 
@@ -213,7 +213,10 @@ def table(rows: DataFrame) -> str:
     """
     of = {str(name): group.sort_values(["seed", "shift"]) for name, group in rows.groupby("top", sort=False)}
     best = max((name for name in of if name.startswith(FIXED)), key=lambda name: float(of[name]["return"].mean()))
-    shown = sorted((name for name in of if name == best or not name.startswith(FIXED)), key=ORACLE.__eq__)
+    places = {name: place for place, name in enumerate([IDLE, *RULES, best])}
+    places[ORACLE] = len(places) + len(of)
+    shown = [name for name in of if name == best or not name.startswith(FIXED)]
+    shown.sort(key=lambda name: (places.get(name, len(places)), name))
     beside = {name: of[name].set_index("shift")["return"] for name in (RULE, ORACLE)}
     lines = []
     for name in shown:

@@ -9,7 +9,7 @@ from hrl_comfort.config.checks import ConfigError, Widths, between, choice, name
 from hrl_comfort.config.learning import NoKeys
 from hrl_comfort.config.task import SORTING
 
-RULES = ("nearest", "free", "due", "cautious", "patient")
+RULES = ("nearest", "free", "due", "greedy", "cautious", "patient")
 """Built-in meta-controllers that work, by a function of a decision."""
 TOPS = (*RULES, "idle", "fixed", "random", "learned")
 ORACLE = "oracle"
@@ -49,8 +49,8 @@ class MetaControllerConfig:
     `cautious` is 6. A `learned` controller is evaluated with the value of its training; any other is refused."""
     level_override: Annotated[list[Annotated[int, within(1, 1000)]], unique]
     """`sort`, `shift`, `kitting`: comfort levels that the controller may give a skill (the policy of an option) instead
-    of the current level. `nearest`, `free`, `due`, `cautious`, `patient` and `fixed` give every skill the first of
-    them."""
+    of the current level. `nearest`, `free`, `due`, `greedy`, `cautious`, `patient` and `fixed` give every skill the
+    first of them."""
     further_options: Annotated[list[Annotated[str, named(FURTHER_OPTIONS)]], unique]
     """Options of your own beside those of the task: each `package.module:name`, or the name of one that an installed
     package offers as an entry point."""

@@ -22,9 +22,13 @@ NEAR_M = 0.55
 PATIENT_M = 0.9
 """`patient` waits at level 1 while a person is within this distance of an object or of where it belongs, m."""
 AWAY_M, FILL_S = 0.7, 4.0
-"""`due` leaves orders for later that a person is within this distance of, m, and those that are due sooner, s."""
+"""`due` leaves orders for later that a person is within this distance of, m; `due` and `greedy` those that are due
+sooner, s."""
 LATEST_S = 1000.0
 """Time from which on `due` sees no difference in when orders are due."""
+SLOW_M, LEAST_SHARE, AHEAD_S = (0.5, 1.5), 0.1, 1.0
+"""`greedy` takes the speed that the shield leaves to rise from LEAST_SHARE to 1 between these distances of people, m,
+where they will be after AHEAD_S."""
 MakeTop = Callable[[EvaluateConfig, OptionTable, int], Choose]
 """(configuration, options, seed) -> top."""
 
@@ -114,6 +118,19 @@ def due(decision: Decision) -> Tensor:
     return advance(decision, 2 * LATEST_S * preference - left)
 
 
+def greedy(decision: Decision) -> Tensor:
+    """Choose the order filled soonest, by a prediction of how people slow the arm, of those that can still be filled.
+
+    The idea is of Faroni et al. (arXiv 2512.17560), who learn how much people slow each job; here distances say it.
+    """
+    jobs, (near, far) = decision.jobs, SLOW_M
+    gap = (jobs.gap - AHEAD_S * jobs.closing).amin(dim=-1)
+    share = ((gap - near) / (far - near)).clamp(LEAST_SHARE, 1.0)
+    to_object, to_place = jobs.ends[:, :, 0] - decision.state.tcp_pos[:, None], jobs.ends[:, :, 1] - jobs.ends[:, :, 0]
+    way = torch.stack([to_object, to_place], dim=2).norm(dim=-1)
+    return advance(decision, LATEST_S * (jobs.left > FILL_S) - (way / share).sum(dim=-1))
+
+
 def cautious(decision: Decision) -> Tensor:
     """Choose the object farthest from people, and wait, where that is allowed, for a person near the goal."""
     state = decision.state
@@ -187,7 +204,8 @@ def with_waits(rule: Choose) -> MakeTop:
 
 
 RULES: dict[str, Choose] = implemented(
-    RULE_NAMES, {"nearest": nearest, "free": free, "due": due, "cautious": cautious, "patient": patient}
+    RULE_NAMES,
+    {"nearest": nearest, "free": free, "due": due, "greedy": greedy, "cautious": cautious, "patient": patient},
 )
 """Tops that work, by a function of a decision."""
 TOPS: dict[str, MakeTop] = implemented(
@@ -196,6 +214,7 @@ TOPS: dict[str, MakeTop] = implemented(
         "nearest": lambda *_: nearest,
         "free": lambda *_: free,
         "due": lambda *_: due,
+        "greedy": lambda *_: greedy,
         "cautious": with_waits(cautious),
         "patient": with_waits(patient),
         "idle": with_waits(idle),

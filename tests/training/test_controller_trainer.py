@@ -112,7 +112,7 @@ def test_a_training_beside_a_rule_that_was_killed_goes_on_to_the_same_bits(tmp_p
         ((RULED[1],), r"rule=None does not go with meta_controller_agent\.rule_envs=3"),
         ((RULED[0], "meta_controller_agent.rule_envs=4"), r"rule_envs=4 must be below engine\.num_envs=4"),
         ((*RULED, "meta_controller_agent=ppo"), "does not go with meta_controller_agent=ppo"),
-        (("meta_controller_agent.rule=learned",), "choose one of nearest, free, due, cautious, patient"),
+        (("meta_controller_agent.rule=learned",), "choose one of nearest, free, due, greedy, cautious, patient"),
     ],
 )
 def test_rules_that_cannot_demonstrate_are_refused(tmp_path, words, said):
