@@ -21,10 +21,13 @@ from hrl_comfort.results.manifest import Entry
 from hrl_comfort.results.record import need_clean_tree, read_record, write_record
 from hrl_comfort.results.remake import evaluations_of, run
 
-KEYS = ["episode", "comfort_level"]
-"""Columns that tell an episode of an evaluation."""
-MEASURED = {"evaluate": 40, "benchmark": 8}
-"""Commands that write episodes, each with the number of episodes that are compared (of each task of a benchmark)."""
+KEYS = ("episode", "comfort_level", "top", "seed", "shift")
+"""Columns that tell an episode of an evaluation, or a shift of a top."""
+TOPS, TABLE = "hrl_comfort.benchmarks.tops", "tops.csv"
+"""Module that measures tops, and the file for what it measures again."""
+MEASURED = {"evaluate": 40, "benchmark": 8, TOPS: 2}
+"""Commands that write episodes, each with the number of episodes that are compared: of each task of a benchmark, of
+each top."""
 SHORT = {
     "hierarchy": (
         "agent.policy_steps=2500",
@@ -36,6 +39,8 @@ SHORT = {
     "skill": ("agent.policy_steps=2500",),
 }
 """Keys of a training that stands in for one whose policies are not kept."""
+SHORT_CHOICES = "2048"
+"""Choices of such a training by a module: a rollout, from which a top learns once."""
 
 
 def verify(name: str, entry: Entry) -> str:
@@ -53,7 +58,7 @@ def verify(name: str, entry: Entry) -> str:
             f"verify={name}: it has no record of a commit, or no command that writes episodes; give remake={name}"
         )
     each = [Entry(**{**entry.model_dump(), "seeds": [seed]}) for seed in entry.seeds] or [entry]
-    evaluated = [[words for words in one.commands("evaluate") if words[1] in MEASURED] for one in each]
+    evaluated = [[words for words in one.commands("evaluate") if kind(words) in MEASURED] for one in each]
     recorded = [shlex.split(line) for line in record.commands]
     if odd := next((words for found in evaluated for words in found if words not in recorded), None):
         raise ConfigError(f"verify={name}: its record has no command {' '.join(odd)}; give remake={name}")
@@ -77,7 +82,12 @@ def verify(name: str, entry: Entry) -> str:
 
 def can_be_verified(entry: Entry) -> bool:
     """Return whether a command of an entry writes episodes."""
-    return any(words[1] in MEASURED for words in entry.commands("evaluate"))
+    return any(kind(words) in MEASURED for words in entry.commands("evaluate"))
+
+
+def kind(words: Sequence[str]) -> str:
+    """Return the module that a command runs, or the subcommand of hrl-comfort."""
+    return words[2] if words[1] == "-m" else words[1]
 
 
 @contextmanager
@@ -99,36 +109,43 @@ def first_episodes(
         run([placed(word, folder, True) for word in words], code)
     found = []
     for index, words in enumerate(evaluated):
-        again = [placed(word, folder, bool(trained)) for word in [*shortened(words), f"output=runs/{index}"]]
+        output = f"runs/{index}"
+        again = [placed(word, folder, bool(trained)) for word in shortened(words, output)]
         run(again, code)
-        found += [(" ".join(words), read(path)) for path in evaluations_of(again)]
+        parts = [path / "episodes.csv" for path in evaluations_of(again)]
+        files = [folder / output / TABLE] if kind(words) == TOPS else parts
+        found += [(" ".join(words), read(path)) for path in files]
     return found
 
 
 def placed(word: str, folder: Path, trained: bool) -> str:
     """Return a word of a command whose run folder is in `folder` if it is an output, or one of what is `trained`."""
-    key, _, value = word.partition("=")
-    return f"{key}={folder / value}" if value.startswith("runs/") and (trained or key == "output") else word
+    key, given, value = word.rpartition("=")
+    return f"{key}{given}{folder / value}" if value.startswith("runs/") and (trained or key in ("output", "")) else word
 
 
 def has_policies(words: Sequence[str]) -> bool:
     """Return whether the run folders that a command names as policies are there."""
-    given = (word.partition("=")[2] for word in words if word.startswith(("policy=", "policies.")))
-    folders = [ROOT / value for value in given if value.startswith("runs/")]
-    return all(each.is_file() or any(each.rglob("*.pt")) for each in folders)
+    given = (word.partition("=")[2] for word in words if word.startswith(("policy=", "policies.", "learned=")))
+    asked = [sorted(ROOT.glob(value)) for value in given if value.startswith("runs/")]
+    return all(found and all(each.is_file() or any(each.rglob("*.pt")) for each in found) for found in asked)
 
 
 def shortly(words: Sequence[str]) -> list[str]:
     """Return a training cut to a few steps."""
+    if words[1] == "-m":
+        return [*words[:4], SHORT_CHOICES, *words[5:]]
     own = SHORT.get(words[2], SHORT["skill"])
     keys = tuple(f"{word.partition('=')[0]}=" for word in own)
     return [*(word for word in words if not word.startswith(keys)), *own]
 
 
-def shortened(words: Sequence[str]) -> list[str]:
-    """Return a command without its output, cut to its first episodes at its first level, none of them of `test`."""
+def shortened(words: Sequence[str], output: str) -> list[str]:
+    """Return a command that writes `output`, cut to its first episodes at its first level, none of them of `test`."""
     kept = [word for word in words if not word.startswith(("output=", "levels=[", "episodes="))]
     kept = ["split=validation" if word == "split=test" else word for word in kept]
+    if kind(words) == TOPS:
+        return [*kept[:3], f"{output}/{TABLE}", str(MEASURED[TOPS]), *kept[5:]]
     asked = next((int(word.partition("=")[2]) for word in words if word.startswith("episodes=")), MEASURED[words[1]])
     kept.append(f"episodes={min(MEASURED[words[1]], asked)}")
     levels = next((word for word in words if word.startswith("levels=")), None)
@@ -137,27 +154,29 @@ def shortened(words: Sequence[str]) -> list[str]:
         kept.append("split=validation")
     if levels or words[1] == "benchmark":
         kept.append(f"levels=[{first[0] if first else '' if levels else 1}]")
-    return kept
+    return [*kept, f"output={output}"]
 
 
-def read(folder: Path) -> DataFrame:
-    """Return the episodes of an evaluation that has just been written."""
-    rows = read_table(folder / "episodes.csv")
-    assert rows is not None, f"{folder} has no episodes"
+def read(file: Path) -> DataFrame:
+    """Return the episodes that have just been written."""
+    rows = read_table(file)
+    assert rows is not None, f"{file} has no episodes"
     return rows
 
 
 def difference(known: DataFrame, again: DataFrame) -> str:
     """Return the first cell in which episodes differ from the known ones, or nothing."""
-    both = again.merge(known, on=KEYS, suffixes=("", " before"), how="outer", indicator=True)
+    keys = [key for key in KEYS if key in known]
+    both = again.merge(known, on=keys, suffixes=("", " before"), how="outer", indicator=True)
     if (both["_merge"] != "both").any():
         return "other episodes"
-    for column in known.columns.difference(KEYS):
+    for column in known.columns.difference(keys):
         if column not in again:
             return f"no column {column} any more"
         now, before = both[column], both[f"{column} before"]
         unequal = ~((now == before) | (now.isna() & before.isna())).fillna(False).astype(bool)
         if unequal.any():
             row = both[unequal].iloc[0]
-            return f"episode {row['episode']}: {column} {row[column]}, before {row[f'{column} before']}"
+            of = f"{row['top']}, shift {row['shift']}" if "top" in known else f"episode {row['episode']}"
+            return f"{of}: {column} {row[column]}, before {row[f'{column} before']}"
     return ""

@@ -385,7 +385,23 @@ def test_a_result_is_verified_digit_by_digit() -> None:
     ],
 )
 def test_a_verification_runs_the_first_episodes_at_the_first_level(words: list[str], first: list[str]) -> None:
-    assert verify.shortened(["hrl-comfort", *words]) == ["hrl-comfort", *first]
+    assert verify.shortened(["hrl-comfort", *words], "here") == ["hrl-comfort", *first, "output=here"]
+
+
+def test_tops_are_verified_in_their_first_shifts_after_short_trainings(tmp_path: Path) -> None:
+    entry = manifest.manifest()["kitting"]
+    train, tops = entry.commands("train"), entry.commands("evaluate")[0]
+    assert verify.can_be_verified(entry) and not verify.has_policies(tops)
+    again = verify.shortened(tops, "runs/0")
+    assert again[:5] == ["python", "-m", verify.TOPS, "runs/0/tops.csv", "2"]
+    assert again[5:] == [word.replace("split=test", "split=validation") for word in tops[5:]]
+    short = verify.shortly(next(words for words in train if words[1] == "-m"))
+    assert short[3:6] == ["PPO", "2048", "0"]
+    assert verify.placed(short[6], tmp_path, True) == str(tmp_path / short[6])
+    assert verify.placed(again[5], tmp_path, True) == f"learned={tmp_path}/runs/reference/kitting/bench/*/seed*"
+    known = pd.DataFrame({"top": ["due", "dqn"], "seed": [None, 0], "shift": [0, 0], "return": [1.0, 2.0]})
+    assert verify.difference(known, known) == ""
+    assert verify.difference(known, known.assign(**{"return": [1.0, 2.5]})) == "dqn, shift 0: return 2.5, before 2.0"
 
 
 def test_the_benchmark_writes_an_evaluation_for_each_task_of_its_suite() -> None:
