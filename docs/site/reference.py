@@ -83,24 +83,26 @@ def metrics() -> str:
     parts = [
         "# Metrics and files",
         MARK,
-        "Every file that a command writes, and every column. An empty cell is a missing value, never a zero. Commands "
-        "pass results to each other through run folders alone. A file is written under a temporary name and then "
-        "renamed, so it is whole or absent.",
+        "The main files that commands write, and their columns. An empty cell is a missing value, never a zero. "
+        "Commands pass results to each other through run folders alone. A file is written under a temporary name and "
+        "then renamed, so it is whole or absent.",
         "```sh\nhrl-comfort train task=pick agent=quick output=runs/pick\n"
         "hrl-comfort evaluate policy=runs/pick episodes=100 record=true 'group_by=[seen]'\n```",
         "## A run folder",
         _two("file", COLUMNS["files"]),
     ]
     for file, table in COLUMNS["tables"].items():
-        parts += [f"## {file.removeprefix('eval/')}", table["about"], _two("column", table["columns"])]
+        parts += [f"## {file.removeprefix('eval/')}", table["about"]]
+        parts += [_two("column", table["columns"])] if table["columns"] else []
     parts += [
         "## summary.json",
         "One group for each task, policy, human, level, precision and split, and for each value of the columns in "
         "`group_by`. Each metric has `mean` and `ci95`; one without a value is absent.",
         _two("metric", COLUMNS["summary"], "over"),
         "## Figures",
-        "The JSON file beside a figure. `levels`, `speed` and `plane` repeat these keys for `all`, `seen` and `unseen` "
-        "spawn points. Changes are computed within each training seed or spawn point.",
+        "The JSON file beside a figure. `levels` and `speed` have these keys under `spawns`, for `all`, `seen` and "
+        "`unseen` spawn points; `plane` has them for `each` label. Changes are computed within each training seed or "
+        "spawn point.",
         _two("key", COLUMNS["figures"]),
         "## Intervals",
         "`ci95` is a 95 % interval, in every file, table and figure. With two or more training seeds it is Student's t "

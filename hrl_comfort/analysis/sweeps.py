@@ -19,7 +19,7 @@ from hrl_comfort.analysis.intervals import SHARE, Clusters, Estimate
 from hrl_comfort.analysis.learning_curve import LearningCurve, curve_of, training_end
 from hrl_comfort.analysis.tables import Quantity, cells
 from hrl_comfort.config import ConfigError
-from hrl_comfort.files.run_folder import Run, read_run
+from hrl_comfort.files.run_folder import Run, read_result
 from hrl_comfort.files.sweep_record import Job, find_jobs, planned
 from hrl_comfort.files.tables import column
 
@@ -142,8 +142,8 @@ def _told(overrides: Sequence[str]) -> dict[str, str]:
 
 def _entry(folder: Path, where: Path, job: Job) -> Entry:
     """Return a job that has begun, with its state and why it is not finished."""
-    run = read_run(where)
-    if job.verb in ("train", "train meta_controller"):
+    run = read_result(where)
+    if job.verb.startswith("train"):
         finished = run.provenance is not None and run.provenance.finished
     else:
         finished = job.state == "done" and run.groups is not None

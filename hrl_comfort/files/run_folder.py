@@ -11,6 +11,7 @@ from typing import Any
 from pandas import DataFrame
 
 from hrl_comfort.config.checks import ConfigError
+from hrl_comfort.config.constants import HIERARCHY
 from hrl_comfort.files.documents import Summary, read_config, read_json
 from hrl_comfort.files.provenance import Provenance, read_provenance, unfinished
 from hrl_comfort.files.tables import read_table
@@ -21,6 +22,8 @@ LOGS = ("metrics.csv", "meta_controller_metrics.csv")
 """Logs of a training: of a policy and of a meta-controller."""
 EVALUATED = ("episodes.csv", "episodes.parquet", "checkpoints.csv")
 """A folder that holds one of these files is an evaluation."""
+CHAIN = "cycle"
+"""Folder of the chain in that of a hierarchy."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,20 @@ def read_run(folder: Path) -> Run:
         options=read_table(evaluation / "options.csv"),
         paths=paths if paths.is_file() else None,
     )
+
+
+def read_result(folder: Path) -> Run:
+    """Read a run folder, of a hierarchy the evaluation of its chain with the duration and state of the hierarchy.
+
+    Raises:
+      ConfigError: a file in it is damaged.
+    """
+    run = read_run(folder)
+    if not (folder / HIERARCHY).is_file():
+        return run
+    chain = read_run(folder / CHAIN)
+    told = {name: getattr(chain, name) for name in ("evaluation", "groups", "episodes", "options", "paths")}
+    return replace(run, config=chain.config, **told)
 
 
 def _minutes(folder: Path, provenance: Provenance | None) -> float | None:

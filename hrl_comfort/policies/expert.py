@@ -299,7 +299,9 @@ class Expert:
             if len(found) == count:
                 break
         if not found:
-            raise ConfigError(f"no posture found that brings the tool to {list(goal)}: is it within reach?")
+            raise ConfigError(
+                f"no posture found that brings the tool to {np.round(goal, 3).tolist()}: is it within reach?"
+            )
         postures = np.array(found)[np.arange(count) % len(found)]
         if more:  # the same with the pan turned fully around, where its range allows
             turned = postures - np.sign(postures) * np.array([2 * np.pi, 0, 0, 0, 0, 0])

@@ -95,6 +95,8 @@ class Session:
 
     def __init__(self, config: StudioConfig) -> None:
         torch.set_num_threads(1)
+        self.asked = config
+        """Configuration as given; `config` is that in force, with a level."""
         self.config = with_level(config)
         env = environment(self.config)
         self.engine = Engine(env, 1, config.first_seed, measure_arm=True, disturbance=config.disturbance)

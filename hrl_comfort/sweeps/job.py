@@ -129,9 +129,9 @@ def _is_newest(summary: Path, config: EvaluateConfig) -> bool:
 def _score(folder: Path) -> float:
     """Return the score of a finished training or evaluation."""
     from hrl_comfort.analysis.learning_curve import curve_of, training_end  # half a second, for pandas
-    from hrl_comfort.files.run_folder import read_run
+    from hrl_comfort.files.run_folder import read_result
 
-    found = read_run(folder)
+    found = read_result(folder)
     if found.metrics is not None:
         return training_end(found.metrics).get(curve_of(found.metrics).score, math.nan)
     return math.nan if found.episodes is None else float(found.episodes["success"].mean())

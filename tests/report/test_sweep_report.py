@@ -23,6 +23,7 @@ from hrl_comfort.config import ConfigError, ReportConfig
 from hrl_comfort.files.sweep_record import Job, find_jobs
 from hrl_comfort.plots import sweeps as sweep_figure
 from hrl_comfort.report.report import report
+from hrl_comfort.sweeps import job as sweep_job
 
 RATES = ("0.0001", "0.001", "0.01")
 SEEDS = ("0", "1", "2")
@@ -174,6 +175,23 @@ def test_a_sweep_of_evaluations_is_reported_too(tmp_path: Path) -> None:
     assert "| arc | 1 | 0 | 0 | 100.0 |" in text
     assert "| still | 1 | 0 | 0 | 0.0 |" in text
     assert not (tmp_path / "sweep" / "report.png").exists()
+
+
+def test_a_hierarchy_of_a_sweep_is_told_by_its_chain(tmp_path: Path) -> None:
+    for k, won in enumerate((1, 0)):
+        folder = tmp_path / "sweep" / str(k)
+        Job("train hierarchy", (f"train_seed={k}",), "done" if won else "running").write(folder)
+        (folder / "hierarchy.yaml").write_text("task: {name: pick}\n", encoding="utf-8")
+        write(
+            folder / "cycle" / "eval" / "episodes.csv", [{"episode": i, "success": won, "steps": 9} for i in range(4)]
+        )
+        said = {"commit": "abc123", "finished": bool(won), "wall_seconds": 120.0}
+        (folder / "provenance.json").write_text(json.dumps(said), encoding="utf-8")
+    (row,) = read_sweep(tmp_path / "sweep").rows
+    assert row.counts == {"finished": 1, "unfinished": 1, "failed": 0}
+    means = {name: row.means[name]["mean"] for name in ("eval_success", "minutes")}
+    assert means == {"eval_success": 1.0, "minutes": 2.0}
+    assert [sweep_job._score(tmp_path / "sweep" / str(k)) for k in range(2)] == [1.0, 0.0]
 
 
 def make_controller(folder: Path, returns: float, finished: bool = True) -> None:

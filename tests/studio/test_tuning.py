@@ -17,6 +17,7 @@ from hrl_comfort.config import ConfigError, StudioConfig, TrainConfig
 pytest.importorskip("viser", reason="the extra [studio] is not installed")
 
 from hrl_comfort.studio.server import LiveStudio
+from hrl_comfort.studio.session import Session
 from hrl_comfort.studio.tune.draft import Draft, overlay, overrides_of, training_overrides
 from hrl_comfort.studio.tune.training import Training
 from tests.studio.browser import opened, until
@@ -85,6 +86,12 @@ def test_the_overrides_of_another_cell_give_that_cell(words: tuple[str, ...], ke
     config = config_of(*words)
     lines = overrides_of("studio", config)
     assert key in lines and Draft("studio", lines).config.cell == config.cell
+
+
+def test_a_training_for_a_cell_without_levels_has_none() -> None:
+    asked = Session(config_of()).asked
+    lines = training_overrides(Draft("studio", overrides_of("studio", asked)), Draft("train", {"agent": "agent=quick"}))
+    assert not any(line.startswith("comfort") for line in lines.values())
 
 
 def test_an_overlay_gives_the_training_that_the_overrides_give(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

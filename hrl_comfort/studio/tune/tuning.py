@@ -48,7 +48,7 @@ class Tuning:
         self, gui: Any, play: LivePlay, panel: Panel, rebuild: Callable[[dict[str, Any]], None], output: Path
     ) -> None:
         self._panel, self._person, self._rebuild, self._output = panel, play.person, rebuild, output
-        self.draft = Draft("studio", overrides_of("studio", panel.session.config))
+        self.draft = Draft("studio", overrides_of("studio", panel.session.asked))
         self.learner = Draft("train", {"agent": "agent=quick"})
         self.training = Training(self._output)
         self._note = ""
