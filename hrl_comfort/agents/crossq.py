@@ -76,7 +76,8 @@ class NormalisedCritics(Critics):
     @classmethod
     def of_state(cls, observation_dim: int, action_dim: int, hidden: list[int], state: dict[str, Tensor]) -> Self:
         """Return critics of the shape of those whose `state_dict` this is; they have widths of their own."""
-        widths = [value.shape[2] for name, value in sorted(state.items()) if name.startswith("weights.")]
+        layers = sum(name.startswith("weights.") for name in state)
+        widths = [state[f"weights.{layer}"].shape[2] for layer in range(layers)]
         return cls(observation_dim, action_dim, widths[:-1])
 
 

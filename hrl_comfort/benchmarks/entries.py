@@ -222,8 +222,14 @@ def responses(part: str, folder: Path) -> str:
 
 
 def means(entries: Sequence[Sequence[Level]], name: str, at: int) -> NDArray[np.float64]:
-    """Return the mean (n,) of a quantity in the levels of n entries, at their level number `at`."""
+    """Return the mean (n,) of a quantity in the levels of n entries, at their level number `at`.
+
+    Raises:
+      ConfigError: an entry lacks the quantity.
+    """
     rows: list[Any] = [levels[at] for levels in entries]
+    if any(name not in row for row in rows):
+        raise ConfigError(f"an entry lacks {name}; measure it again")
     return np.array([row[name]["mean"] for row in rows])
 
 

@@ -6,7 +6,6 @@ run again.
 
 from __future__ import annotations
 
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Hashable, Sequence
@@ -21,6 +20,7 @@ from pandas import DataFrame, Series
 
 from hrl_comfort.analysis.intervals import SHARE, Clusters
 from hrl_comfort.analysis.tables import cell, markdown
+from hrl_comfort.benchmarks.measure import as_command, given
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig, TrainConfig
 from hrl_comfort.evaluation.rollout import rollout
@@ -154,9 +154,9 @@ def table(rows: DataFrame) -> str:
 def main(words: Sequence[str]) -> None:
     """Measure, and print the table."""
     torch.set_num_threads(1)
-    path, minutes, seeds = words
-    print(table(measure(Path(path), float(minutes), int(seeds))))
+    path, minutes, seeds = given(words, "FILE.csv MINUTES SEEDS", Path, float, int)
+    print(table(measure(path, minutes, seeds)))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    as_command(main)

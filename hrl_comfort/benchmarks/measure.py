@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pandas import DataFrame, Series
 
@@ -21,6 +22,22 @@ Rate = Callable[[], float]
 SECONDS = 1.0
 """Least duration of a measurement."""
 ROUNDS = 7
+
+
+def given(words: Sequence[str], usage: str, *kinds: Callable[[str], Any]) -> list[Any]:
+    """Return the first words of a module's command line, each as a kind; raise ConfigError if they are no such."""
+    try:
+        return [kind(word) for kind, word in zip(kinds, words[: len(kinds)], strict=True)]
+    except ValueError:
+        raise ConfigError(f"{' '.join(words) or 'nothing'} is given; give {usage}") from None
+
+
+def as_command(main: Callable[[Sequence[str]], None]) -> None:
+    """Run the `main` of a module with the words of the process; a mistake ends it with one line and exit code 1."""
+    try:
+        main(sys.argv[1:])
+    except ConfigError as error:
+        sys.exit(f"hrl-comfort: {error}")
 
 
 def need_peers() -> None:

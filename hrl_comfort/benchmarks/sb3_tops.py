@@ -8,7 +8,6 @@ it beside other tops.
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,9 +18,10 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import Tensor
 
+from hrl_comfort.benchmarks.measure import as_command, given
 from hrl_comfort.benchmarks.tops import TOLD, WORDS
 from hrl_comfort.composition.compose import compose
-from hrl_comfort.config import EvaluateConfig
+from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.checks import one_of
 from hrl_comfort.files.atomic import write_json
 from hrl_comfort.files.output import held_folder
@@ -56,9 +56,11 @@ def train(learner: str, choices: int, seed: int, folder: Path, config: EvaluateC
     """Train a learner for `choices` options in the world of `config`; return its folder.
 
     Raises:
-      ConfigError: there is no such learner.
+      ConfigError: there is no such learner, or the folder holds something.
     """
     one_of("LEARNER", learner, tuple(LEARNERS))
+    if folder.is_dir() and any(folder.iterdir()):
+        raise ConfigError(f"{folder} is not empty; choose another folder")
     cells = OptionVecEnv(OptionCells(config, CELLS, None, GAMMA, OBSERVATION))
     cells.seed(seed)
     given = {"gamma": GAMMA, "seed": seed, "device": "cpu", **OWN[learner]}
@@ -89,11 +91,11 @@ def chooser(folder: Path, config: EvaluateConfig) -> Choose:
 def main(words: Sequence[str]) -> None:
     """Train a learner and write its folder."""
     torch.set_num_threads(1)
-    learner, choices, seed, folder, *asked = words
-    config = compose("evaluate", [*WORDS, *asked])
+    learner, choices, seed, folder = given(words, "LEARNER CHOICES SEED FOLDER WORDS…", str, int, int, Path)
+    config = compose("evaluate", [*WORDS, *words[4:]])
     assert isinstance(config, EvaluateConfig)
-    train(learner, int(choices), int(seed), Path(folder), config)
+    train(learner, choices, seed, folder, config)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    as_command(main)

@@ -10,8 +10,7 @@ Tops that are in the file are not measured again.
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from glob import glob
 from pathlib import Path
@@ -25,6 +24,7 @@ from pandas import DataFrame
 
 from hrl_comfort.analysis.intervals import Clusters
 from hrl_comfort.analysis.tables import cell, markdown
+from hrl_comfort.benchmarks.measure import as_command, given
 from hrl_comfort.benchmarks.suite import check_steps
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CellConfig, ConfigError, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
@@ -75,8 +75,8 @@ COLUMNS = ("top", "seed", "shift", *TERMS)
 
 def measure(
     config: EvaluateConfig, shifts: int, learned: Sequence[Path] = (), done: DataFrame | None = None
-) -> DataFrame:
-    """Return a row for each top and shift, of a learned one by its learner and with its training seed.
+) -> Iterator[DataFrame]:
+    """Yield a row for each top and shift so far, of a learned one by its learner and with its training seed.
 
     Fixed orders, and then all others that are shown, work side by side; a flat policy works alone, and takes the
     objects as they are numbered. Tops of rows that are `done` already do not work again, but for RULE, for comparison.
@@ -88,21 +88,30 @@ def measure(
     flat = [name for name, (learner, _) in names.items() if learner.startswith(f"{FLAT} ")]
     for name in flat:
         check_steps(config, LEARNED, name.removeprefix(f"{LEARNED} "))
-    entries = open_split(replace(config, episodes=shifts)).entries
+    look = open_split(replace(config, episodes=shifts), further=[str(folder) for folder in learned])
     if done is None:
-        done = _beside(config, entries)
+        done = _beside(config, look.entries)
     else:
-        _check_same(done, _side_by_side(config, entries, [RULE]))
+        _check_same(done, _side_by_side(config, look.entries, [RULE]))
     ready = set(zip(done["top"], done["seed"], strict=True))
-    new = {name: told for name, told in names.items() if told not in ready}
+    for name in [name for name, told in names.items() if told in ready]:
+        learner, seed = names.pop(name)
+        print(f"{name.removeprefix(f'{LEARNED} ')} is not measured: {learner} of train_seed={seed} is in the file")
     rules = [name for name in RULES if name not in set(done["top"])]
-    tops = rules + [name for name in new if name not in flat]
-    rows = [_judged(config, entries, tops)] if tops else []
-    rows += [_alone(config, entries, name) for name in new if name in flat]
-    told = {**{name: (name, pd.NA) for name in rules}, **new}
-    known = [done, *(each.assign(seed=[told[name][1] for name in each["top"]]) for each in rows)]
-    every = pd.concat(known, ignore_index=True).astype({"seed": "Int64"})
-    return every.assign(top=[told.get(name, (name,))[0] for name in every["top"]])[list(COLUMNS)]
+    tops = rules + [name for name in names if name not in flat]
+    told = {**{name: (name, pd.NA) for name in rules}, **names}
+
+    def with_told(rows: DataFrame) -> DataFrame:
+        learners, seeds = zip(*(told[name] for name in rows["top"]), strict=True)
+        whole = pd.concat([done, rows.assign(top=learners, seed=seeds)], ignore_index=True)
+        return whole.astype({"seed": "Int64"})[list(COLUMNS)]
+
+    yield done
+    if tops:
+        yield (done := with_told(_judged(config, look.entries, tops)))
+    for name in [name for name in names if name in flat]:
+        yield (done := with_told(_alone(config, look.entries, name)))
+    look.completed()
 
 
 def _beside(config: EvaluateConfig, entries: EvaluationSet) -> DataFrame:
@@ -112,7 +121,8 @@ def _beside(config: EvaluateConfig, entries: EvaluationSet) -> DataFrame:
     idle = _side_by_side(config, entries, [IDLE])
     oracle = _side_by_side(config, entries, [ORACLE]).assign(regret=0.0)
     every = [idle, _judged(config, entries, [best]), tried[tried["top"] != best], oracle]
-    return pd.concat(every, ignore_index=True).assign(seed=pd.NA)
+    rows = pd.concat(every, ignore_index=True).assign(seed=pd.NA)
+    return rows.astype({"seed": "Int64"})[list(COLUMNS)]
 
 
 def _judged(config: EvaluateConfig, entries: EvaluationSet, names: list[str]) -> DataFrame:
@@ -293,17 +303,18 @@ def clustered(rows: DataFrame) -> DataFrame:
 def main(words: Sequence[str]) -> None:
     """Measure, and write the CSV."""
     torch.set_num_threads(1)
-    path, shifts, *asked = words
+    path, shifts = given(words, "FILE.csv SHIFTS [learned=PATTERN…] WORDS…", Path, int)
+    asked = words[2:]
     patterns = [word.removeprefix("learned=") for word in asked if word.startswith("learned=")]
     learned = [folder for pattern in patterns for folder in found(pattern)]
     config = compose("evaluate", [*WORDS, *(word for word in asked if not word.startswith("learned="))])
     assert isinstance(config, EvaluateConfig)
-    rows = measure(config, int(shifts), learned, read_rows(Path(path)))
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    filled = rows.astype(object).where(rows.notna(), None)
-    write_table(Path(path), COLUMNS, filled.itertuples(index=False, name=None))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for rows in measure(config, shifts, learned, read_rows(path)):
+        filled = rows.astype(object).where(rows.notna(), None)
+        write_table(path, COLUMNS, filled.itertuples(index=False, name=None))
     print(table(rows))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    as_command(main)

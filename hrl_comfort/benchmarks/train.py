@@ -84,8 +84,10 @@ def bench_train(config: TrainConfig) -> Path:
     """
     need_peers()
     torch.set_num_threads(1)
-    agent = replace(config.agent, demonstrator=None, demonstrator_envs=0, next_skill=None, learning_rate_end=None)
-    config = replace(config, agent=agent, curriculum=replace(config.curriculum, kind="off"))
+    none: dict[str, Any] = dict.fromkeys(("demonstrator", "next_skill", "learning_rate_end"))
+    none |= dict.fromkeys(("demonstrator_envs", "other_level"), 0)
+    curriculum = replace(config.curriculum, kind="off", stages=[])
+    config = replace(config, agent=replace(config.agent, **none), curriculum=curriculum, initial_policy=None)
     env, path = environment(config), Path(config.output) / "train.csv"
     with held_folder(path.parent):
         rows = _races(config, env, path)

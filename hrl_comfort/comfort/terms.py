@@ -14,7 +14,7 @@ from torch.linalg import vector_norm
 
 from hrl_comfort.config import FAR_AWAY_M, ComfortConfig
 from hrl_comfort.config import comfort as names
-from hrl_comfort.config.checks import implemented, part
+from hrl_comfort.config.checks import function, implemented
 
 SMALLEST_M = 1e-10
 OFFSET = -0.1
@@ -170,9 +170,9 @@ def forms(config: ComfortConfig) -> tuple[Form, Threshold, SpeedForm]:
       ConfigError: one of them is not there.
     """
     return (
-        part("comfort.form", config.form, FORMS),
-        part("comfort.threshold", config.threshold, THRESHOLDS),
-        part("comfort.speed_form", config.speed_form, SPEED_FORMS),
+        function("comfort.form", config.form, FORMS),
+        function("comfort.threshold", config.threshold, THRESHOLDS),
+        function("comfort.speed_form", config.speed_form, SPEED_FORMS),
     )
 
 

@@ -58,4 +58,7 @@ def _of_file(line: str) -> list[str]:
     if group == "human" and content.get("motion") in known:
         base = [f"human={content.pop('motion')}"]
     # Without `++` a mapping is set as a whole; with it Hydra would add to the entries of the default.
+    if isinstance(vary := content.get("vary"), dict):  # a section, of which each key is set
+        content = {key: value for key, value in content.items() if key != "vary"}
+        content |= {f"vary.{key}": value for key, value in vary.items()}
     return [*base, *(override(f"{group}.{key}", value).lstrip("+") for key, value in content.items())]

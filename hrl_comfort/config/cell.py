@@ -190,7 +190,7 @@ class CellConfig:
     """Height of the robot's base above the floor, m."""
     obstacles: dict[Name, ObstacleConfig] = field(default_factory=dict)
     """Further solids that the arm must not touch, by name."""
-    stations_m: list[XY] | None = None
+    stations_m: Annotated[list[XY], Field(min_length=1)] | None = None
     """Stations of people who work there, (x, y), m; null: 0.4 m behind each place, as seen from the robot."""
     vary: VaryConfig = field(default_factory=VaryConfig)
     """Differences of the layout from one episode to another."""

@@ -158,6 +158,14 @@ def part(key: str, name: str, known: Mapping[str, T]) -> T:
     return found
 
 
+def function(key: str, name: str, known: Mapping[str, T]) -> T:
+    """Return the function `name` as `part` does; raise ConfigError also if it cannot be called."""
+    found = part(key, name, known)
+    if not callable(found):
+        raise ConfigError(f"{key}={name!r} is of type {type(found).__name__}; it must be a function")
+    return found
+
+
 def implemented(names: tuple[str, ...], parts: Mapping[str, T]) -> dict[str, T]:
     """Return the registry of `names`, those that the configuration allows: `parts`, in that order.
 

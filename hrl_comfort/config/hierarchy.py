@@ -152,8 +152,8 @@ class MetaControllerAgentConfig:
     exploration_start: Annotated[float, within(0.0, 1.0)]
     """Probability of a random option at the start."""
     exploration_end: Annotated[float, within(0.0, 1.0)]
-    """Probability of a random option in the second half of the training; in the first half, after `warmup_options`, it
-    goes linearly from `exploration_start` to this."""
+    """Probability of a random option in the second half of the training; in the first half it goes linearly from
+    `exploration_start` to this, and during `warmup_options` it is 1."""
     rule: Annotated[str, choice(*RULES)] | None
     """Rule that chooses in the first `rule_envs` environments; the learner learns from what comes of it, too;
     null is none. `ppo` takes none: it learns from its own choices alone."""

@@ -104,6 +104,8 @@ class HumanConfig:
             raise ConfigError(f"human.mixture={list(self.mixture)}: motion=mixture draws from it, and no other motion")
         if "mixture" in self.mixture:
             raise ConfigError("human.mixture.mixture: a mixture cannot hold another")
+        if "none" in self.mixture:
+            raise ConfigError("human.mixture.none: nobody has no distance; leave it out, or choose human=none")
         if self.mixture:
             assert self.people
         if self.others:

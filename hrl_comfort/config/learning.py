@@ -74,7 +74,7 @@ class TQCKeys:
 
     critics: Annotated[int, within(1, 100)] = 5
     """Number of critics."""
-    quantiles: Annotated[int, within(1, 1000)] = 25
+    quantiles: Annotated[int, within(2, 1000)] = 25
     """Number of quantiles of the return that each critic predicts."""
     dropped: Annotated[int, within(0, 999)] = 2
     """Number of the highest quantiles, for each critic, that targets leave out; fewer than `quantiles`."""

@@ -148,7 +148,7 @@ def _replaced(line: str) -> list[str]:
 
     Without the first of them, Hydra adds to its entries.
     """
-    match = re.match(r"((?:cell|human)\.\w+)=\{", line)
+    match = re.match(r"((?:cell|human)\.(?!vary=)\w+)=\{", line)
     return [override(match[1], None), f"++{line}"] if match else [line]
 
 

@@ -35,13 +35,12 @@ class CellEnv(EnvBase):
     def __init__(self, config: EnvConfig, rows: int, seed: int, evaluation: EvaluationSet | None = None) -> None:
         super().__init__(device="cpu", batch_size=torch.Size([rows]))
         self.engine = make_engine(config, rows, episode_seed(seed), evaluation)
-        self.task_name = config.task.name
         self.reward_names = self.engine.episodes.reward_names
         self.last: StepResult | None = None
         """Result of the latest step, with all its control steps."""
-        self._make_specs(config)
+        self._make_specs()
 
-    def _make_specs(self, config: EnvConfig) -> None:
+    def _make_specs(self) -> None:
         n = self.batch_size
         self.layout = self.engine.episodes.subtask.layout(self.engine.reset())
         """Columns of the observation by the name of a term."""

@@ -17,7 +17,7 @@ from rich.console import Console
 
 from hrl_comfort.analysis.episodes import chain_lengths, success
 from hrl_comfort.analysis.tables import cell
-from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerConfig
+from hrl_comfort.config import TERMINAL_STATES_SEED, ConfigError, EvaluateConfig, MetaControllerConfig
 from hrl_comfort.evaluation.ledger import open_split
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
@@ -33,6 +33,8 @@ from hrl_comfort.tasks import subtask
 
 RECORDED_EPISODES = 2000
 """Episodes, drawn as in training, of which terminal states are recorded."""
+FIRST_SEED = TERMINAL_STATES_SEED + 10_000
+"""First of their seeds, above those of terminal states that skills train from."""
 FAR = 3.0
 """Standard deviations from the mean in training beyond which an observation counts as far."""
 LONE = MetaControllerConfig(
@@ -126,7 +128,7 @@ def _terminal_states(config: EvaluateConfig, output: Path, name: str, kind: str,
     """Record the terminal states of a subtask's policy, or of the expert; return the .npz."""
     path = str(output / f"{name}_{kind}.npz")
     part = alone(config, name, start, config.policies[name] if kind == "previous" else "expert")
-    record_terminal_states(replace(part, terminal_states=path, episodes=RECORDED_EPISODES, split="train"))
+    record_terminal_states(replace(part, terminal_states=path, episodes=RECORDED_EPISODES, split="train"), FIRST_SEED)
     return path
 
 

@@ -7,6 +7,7 @@ import hashlib
 import secrets
 import shlex
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -41,17 +42,18 @@ class Look:
             _append({**self.line, "episodes": self.line["episodes"] if episodes is None else len(episodes), **shares})
 
 
-def open_split(config: EvaluateConfig, policy: Source | None = None) -> Look:
+def open_split(config: EvaluateConfig, policy: Source | None = None, further: Sequence[Source] = ()) -> Look:
     """Return the episodes that `config` asks for; a look at `test` has its line before the first of them begins.
 
     Args:
       config: the evaluation.
       policy: acts in place of the policy that `config` names.
+      further: policies and tops that act, too.
     """
     line: dict[str, object] | None = None
     if config.split == "test":
         acting = config.policy if policy is None else policy
-        sources = [*([acting] if acting is not None else []), *config.policies.values()]
+        sources = [*([acting] if acting is not None else []), *config.policies.values(), *further]
         line = {
             "look": secrets.token_hex(4),
             "utc": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -86,6 +88,6 @@ def hash_of(source: Source) -> str:
     """Return the name of a policy and, of a file or run folder, the start of its SHA-256."""
     name = name_of(source)
     file = Path(name.split(":", 1)[-1])
-    inside = (file / each for each in ("policy.pt", "meta_controller.pt"))
+    inside = (file / each for each in ("policy.pt", "meta_controller.pt", "model.zip"))
     file = next((each for each in inside if each.is_file()), file)
     return f"{name}@{hashlib.sha256(file.read_bytes()).hexdigest()[:16]}" if file.is_file() else name

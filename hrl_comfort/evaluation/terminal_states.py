@@ -19,12 +19,12 @@ from hrl_comfort.sim.processes.engine import make_engine
 from hrl_comfort.sim.starts import fingerprint
 
 
-def record_terminal_states(config: EvaluateConfig) -> Path:
+def record_terminal_states(config: EvaluateConfig, first_seed: int = TERMINAL_STATES_SEED) -> Path:
     """Write the last states of successful episodes by kind, float32 (`sim.starts`), to `config.terminal_states`.
 
     A state holds the joints, with a gripper all bodies, the set-point of the fingers and the sizes that
     `randomise.object_size` draws, and, with people, the first one's position and the level in force. Episodes are drawn
-    as in training, from seeds of their own: what is recorded becomes training data.
+    as in training, from seeds of their own, `first_seed` on: what is recorded becomes training data.
 
     Raises:
       ConfigError: the path does not end in .npz, or no episode of a kind succeeded.
@@ -38,7 +38,7 @@ def record_terminal_states(config: EvaluateConfig) -> Path:
     found: dict[str, list[np.ndarray]] = {kind: [] for kind in config.cell.kinds}
     for begin in range(0, config.episodes, BATCH):
         rows = min(BATCH, config.episodes - begin)
-        for kind, state in successes(config, rows, TERMINAL_STATES_SEED + begin // BATCH):
+        for kind, state in successes(config, rows, first_seed + begin // BATCH):
             found[kind].append(state)
     for kind, states in found.items():
         if not states:

@@ -161,4 +161,23 @@ def read_yaml(path: Path) -> tuple[str, dict[str, Any]]:
         raise damaged(path, f"line {aliases[0].start_mark.line + 1} has an alias, *{aliases[0].anchor}")
     if not isinstance(content, dict):
         raise damaged(path, f"it holds a {type(content).__name__}, not a mapping")
+    if again := _given_again(yaml.compose(text, yaml.CSafeLoader)):
+        raise damaged(path, f"line {again.start_mark.line + 1} gives {again.value} again")
     return text, content
+
+
+def _given_again(node: yaml.Node) -> yaml.ScalarNode | None:
+    """Return the first key that a mapping in `node` has twice, whose earlier value would be lost without a word."""
+    if isinstance(node, yaml.SequenceNode):
+        return next(filter(None, map(_given_again, node.value)), None)
+    if not isinstance(node, yaml.MappingNode):
+        return None
+    names: set[str] = set()
+    for key, value in node.value:
+        if isinstance(key, yaml.ScalarNode):
+            if key.value in names:
+                return key
+            names.add(key.value)
+        if found := _given_again(value):
+            return found
+    return None

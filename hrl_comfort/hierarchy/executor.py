@@ -136,7 +136,7 @@ class OptionExecutor:
                 runs = torch.where(mine[self.option] & (state.steps > 0), self.attempt, 0)
                 mask[:, mine] &= (runs < option.max_runs)[:, None]
             if option.recovers:
-                astray = self._preempted & ~self._ends(index, state)
+                astray = self._preempted & (state.steps > 0) & ~self._ends(index, state)
                 mask[astray] = mine
         mask = torch.where(mask.any(dim=-1, keepdim=True), mask, free)  # whoever has nothing else may wait once more
         return mask | ~mask.any(dim=-1, keepdim=True)
@@ -177,7 +177,8 @@ class OptionExecutor:
         rows, self._interrupted = rows & ~self.goes_on(chosen), self._interrupted & ~rows
         again = torch.where((chosen == self.option) & (state.steps > 0), self.attempt + 1, 1)
         self.attempt = torch.where(rows, again, self.attempt)
-        self.timeouts = torch.where(rows & (state.steps == 0), 0, self.timeouts)
+        begins = rows & (state.steps == 0)
+        self.timeouts, self._preempted = torch.where(begins, 0, self.timeouts), self._preempted & ~begins
         self.option = torch.where(rows, chosen, self.option)
         self.started = torch.where(rows, state.steps, self.started)
         self.stage = torch.where(rows, state.stage, self.stage)
@@ -249,7 +250,7 @@ class OptionExecutor:
     @contextmanager
     def held(self, rows: Tensor) -> Iterator[None]:
         """Keep what is known of `rows` (r,) int64 as it is while options of others end."""
-        kept = {name: getattr(self, name)[rows] for name in self._FLAGS}
+        kept = {name: getattr(self, name)[rows] for name in ("timeouts", *self._FLAGS)}
         yield
         for name, flag in kept.items():
             setattr(self, name, getattr(self, name).index_copy(0, rows, flag))

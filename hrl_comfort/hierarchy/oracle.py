@@ -9,11 +9,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from hrl_comfort.config import CONTROL_STEP_S
+from hrl_comfort.config import CONTROL_STEP_S, ConfigError
 from hrl_comfort.hierarchy.decision import Decision, Top
 from hrl_comfort.hierarchy.executor import OptionExecutor, OptionRun, execute
 from hrl_comfort.hierarchy.options import Cause
 from hrl_comfort.hierarchy.tops import due
+from hrl_comfort.policies.remembering import Remembering
 from hrl_comfort.sim.engine import Engine
 
 HORIZON_S = 30.0
@@ -21,9 +22,18 @@ HORIZON_S = 30.0
 
 
 class Oracle:
-    """Values of the options of the cells of `engine`, run by `executor`."""
+    """Values of the options of the cells of `engine`, run by `executor`.
+
+    Raises:
+      ConfigError: a policy remembers: it would take what its copies did for what it did.
+    """
 
     def __init__(self, engine: Engine, executor: OptionExecutor) -> None:
+        if names := [each.name for each in executor.table.options if isinstance(each.policy, Remembering)]:
+            raise ConfigError(
+                f"the policy of {names[0]} remembers, and the oracle cannot try it in copies; give meta_controller "
+                "another top, and regret=false"
+            )
         self._engine, self.executor = engine, executor
         self._latest: tuple[Decision, Tensor] | None = None
         """The decision judged last, and its values: they take long."""

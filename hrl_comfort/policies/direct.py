@@ -25,6 +25,8 @@ class Direct(Expert):
       ConfigError: the robot is not one of UR_ARMS.
     """
 
+    NAME = "direct"
+
     @torch.no_grad()
     def act(self, state: State) -> Tensor:
         """Return actions (N, 6) in [-1, 1]: joint increments in units of `max_step_deg` a control step."""

@@ -86,13 +86,15 @@ class Expert:
       ConfigError: the robot is not one of UR_ARMS.
     """
 
+    NAME = "expert"
+
     def __init__(self, scene: Scene, config: EnvConfig, subtask: Subtask) -> None:
         if config.robot.name not in UR_ARMS:
             raise ConfigError(
-                f"robot.name={config.robot.name} is not allowed with policy=expert; "
+                f"robot.name={config.robot.name} is not allowed with policy={self.NAME}; "
                 f"choose one of {', '.join(UR_ARMS)}, or policy=potential_field"
             )
-        self._goals, self._comfort = StageGoals("expert", config, subtask), config.comfort
+        self._goals, self._comfort = StageGoals(self.NAME, config, subtask), config.comfort
         self._step = np.radians(config.task.max_step_deg)
         rated = config.robot.rating != "paper"
         self._slowing = self._step * config.task.action_repeat * (BRAKING if rated else 1.0)

@@ -56,7 +56,11 @@ class ObservationPolicy:
                 f"policy={self.source!r} takes observations of {self.observation_dim} numbers, not {batch.shape[1]}"
                 f"{remedy}"
             )
-        action = np.asarray(self.function(batch), dtype=np.float64)
+        returned = self.function(batch)
+        try:
+            action = np.asarray(returned, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ConfigError(f"policy={self.source!r} returned {type(returned).__name__} without a shape") from None
         width = action.shape[-1:] if self.action_dim is None else (self.action_dim,)
         if action.shape != (len(batch), *width):
             wanted = f"({len(batch)}, {self.action_dim or 'A'})"
@@ -72,8 +76,10 @@ def from_function(source: str, function: Any) -> ObservationPolicy:
     Raises:
       ConfigError: it cannot be called.
     """
-    if isinstance(function, type):
-        function = function()
+    try:
+        function = function() if isinstance(function, type) else function
+    except TypeError as error:
+        raise ConfigError(f"policy={source!r} is a class that cannot be made without arguments: {error}") from error
     if not callable(function):
         raise ConfigError(f"policy={source!r} is of type {type(function).__name__}; it must be callable")
     return ObservationPolicy(source, function)

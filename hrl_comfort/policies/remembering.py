@@ -39,6 +39,22 @@ class Remembering:
             del self._known[key]
         return action.double()
 
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return what an exact continuation needs, (E, ...) of the episodes that are remembered."""
+        known = list(self._known.values())
+        none = self._blank[None][:0]
+        return {
+            "key": torch.tensor(list(self._known), dtype=torch.int64),
+            "step": torch.tensor([step for step, *_ in known], dtype=torch.int64),
+            "before": torch.stack([before for _, before, _ in known]) if known else none,
+            "after": torch.stack([after for *_, after in known]) if known else none,
+        }
+
+    def load_state_dict(self, saved: dict[str, Tensor]) -> None:
+        """Continue from `state_dict`."""
+        steps = zip(saved["step"].tolist(), saved["before"], saved["after"], strict=True)
+        self._known = dict(zip(saved["key"].tolist(), steps, strict=True))
+
     def _before(self, key: int, step: int) -> Tensor:
         """Return the memory (M,) with which an episode decides at a control step."""
         if key not in self._known:

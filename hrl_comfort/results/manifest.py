@@ -22,6 +22,7 @@ PICTURES = (".png", ".gif", ".svg", ".jpg", ".mp4", ".csv", ".json", ".parquet",
 MEASURING = (
     *(f"hrl_comfort/{name}" for name in ("agents", "comfort", "composition", "config", "envs", "evaluation",
                                          "hierarchy", "humans", "policies", "safety", "scene", "sim", "tasks")),
+    *(f"hrl_comfort/{name}.py" for name in ("analysis/summary", "benchmarks/suite", "compiled", "instants")),
     "conf", ":!conf/experiment", ":!hrl_comfort/scene/looks", ":!hrl_comfort/policies/hand",
 )  # fmt: skip
 """Files that decide an evaluation of given policies, none of them a scripted hand, as pathspecs of git."""

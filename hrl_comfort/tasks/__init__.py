@@ -43,7 +43,7 @@ def subtask(name: str, observation: str = "default", objects: int = 1, hand: boo
     chosen = sort(objects) if name == "sort" else found if found.name == name else replace(found, name=name)
     if observation != "default":
         seen = replace(chosen, observations=LAYOUTS[observation](chosen.stages))
-        chosen = repeated(seen) if chosen.repeats else seen
+        chosen = replace(seen, observations=repeated(seen).observations) if chosen.repeats else seen
     return with_hand(chosen) if hand else chosen
 
 

@@ -15,6 +15,7 @@ from hrl_comfort.config import AgentConfig, ConfigError, TrainConfig
 from hrl_comfort.envs.torchrl import CellEnv
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.policies.load import make_policy
+from hrl_comfort.policies.remembering import Remembering
 from hrl_comfort.training.logger import OUTCOMES
 from hrl_comfort.training.loop import Collected, Outcome
 from hrl_comfort.training.next_skill import NextSkill, NextSkillValue
@@ -220,6 +221,8 @@ def make_demonstrator(config: TrainConfig, env: CellEnv) -> Demonstrator:
         act = make_policy(source, episodes.subtask, env.engine.scene, environment(config), config.train_seed)
     except ConfigError as error:
         raise ConfigError(f"agent.demonstrator={source}: {error}") from error
+    if isinstance(act, Remembering):
+        raise ConfigError(f"agent.demonstrator={source} remembers, and checkpoints do not keep that; choose another")
 
     def demonstrator(rows: Tensor) -> Tensor:
         assert episodes.state is not None

@@ -62,10 +62,13 @@ class OptionCollector:
         stepped, self.now = self.env.step_and_maybe_reset(self.now.set("action", action))
         after, state = stepped["next"], self.env.last_state
         self._returns += self.env.earned
-        finished = []
+        finished, subtask = [], self.env.engine.episodes.subtask
+        placed = subtask.released(state.stage)
+        # A shift succeeds when its time is up, as in an evaluation.
+        won = after["truncated"] if subtask.repeats else after["success"]
         done = after["done"].reshape(-1)
         for row in torch.nonzero(done & ~self._demonstrated).squeeze(-1).tolist():
-            numbers = after["success"][row], state.placed[row].sum(), self._returns[row], state.steps[row]
+            numbers = won[row], placed[row], self._returns[row], state.steps[row]
             finished.append(dict(zip(OptionsLog.OUTCOMES, map(float, numbers), strict=True)))
         self._returns[done] = 0.0
         ended = self.env.transitions(after)

@@ -30,7 +30,7 @@ from hrl_comfort.config.learning import SKILL_LEARNERS
 from hrl_comfort.evaluation.evaluate import evaluate
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.documents import Summary, read_json
-from hrl_comfort.files.provenance import RunState, is_finished, run_state, write_provenance
+from hrl_comfort.files.provenance import RunState, is_finished, read_provenance, run_state, write_provenance
 from hrl_comfort.files.run_config import environment, is_same, load_config, save_config
 from hrl_comfort.tasks import subtask
 from hrl_comfort.training.controller_trainer import train_meta_controller
@@ -58,17 +58,24 @@ def train_hierarchy(config: HierarchyTrainConfig) -> Path:
     _check(config, folder)
     with claim(folder, resume=(folder / HIERARCHY).is_file()):
         save_config(config, folder / HIERARCHY)
-        begin = time.monotonic()
+        begin, finished = time.monotonic() - _seconds(folder), False
         try:
             options = train_options(config, folder)
             if (controller := controller_config(config, folder)) is not None:
                 _train(controller)
+            left = [each for each in evaluations(config, folder, options) if not _evaluated(each)]
+            run_each(evaluate, left, config.hierarchy.jobs)
+            finished = True
         except Preempted as stopped:
             raise Preempted(f"stopped by SIGTERM; go on with train hierarchy resume={folder}") from stopped
-        left = [each for each in evaluations(config, folder, options) if not _evaluated(each)]
-        run_each(evaluate, left, config.hierarchy.jobs)
-        write_provenance(folder, config, finished=True, seconds=time.monotonic() - begin)
+        finally:
+            write_provenance(folder, config, finished, time.monotonic() - begin)
     return folder
+
+
+def _seconds(folder: Path) -> float:
+    """Return for how long what is in the folder has been trained before, s."""
+    return read_provenance(folder).wall_seconds if (folder / "provenance.json").is_file() else 0.0
 
 
 def _config_in(folder: Path, asked: HierarchyTrainConfig) -> HierarchyTrainConfig:
@@ -196,11 +203,8 @@ def evaluations(config: HierarchyTrainConfig, folder: Path, options: Iterable[Tr
     Beside people whose splits are kept apart the episodes are those of `validation`, else the paper's.
     """
     common: dict[str, Any] = {
-        "episodes": config.hierarchy.episodes,
-        "record": True,
-        "group_by": ["seen"],
-        "split": "validation" if config.human.partitioned else "paper",
-    }
+        "episodes": config.hierarchy.episodes, "record": True, "group_by": ["seen"], "split": _split(config),
+    }  # fmt: skip
     at_levels: dict[str, Any] = {**common, "levels": config.hierarchy.levels}
     parts = {option.task.name: option for option in options}
     policies = {name: option.output for name, option in parts.items()}
@@ -215,12 +219,16 @@ def evaluations(config: HierarchyTrainConfig, folder: Path, options: Iterable[Tr
     if (controller := controller_config(config, folder)) is not None:
         task, learned, rule = controller.task.name, controller.meta_controller, controller.meta_controller_agent.rule
         asked = at_levels if controller.comfort.source == "random" else common
-        asked = {**asked, "record": not subtask(task).repeats}  # paths of shifts are long
+        asked = {**asked, "split": _split(controller), "record": not subtask(task).repeats}  # paths of shifts are long
         simple = replace(learned, name=rule or "nearest", **OPTION_KEYS)
         found.append(_evaluation(controller, simple, folder / f"{task}_{simple.name}", policies, **asked))
         policies = {**policies, "meta_controller": controller.output}
         found.append(_evaluation(controller, learned, folder / f"{task}_learned", policies, **asked))
     return found
+
+
+def _split(env: EnvConfig) -> str:
+    return "validation" if env.human.partitioned else "paper"
 
 
 def _evaluated(evaluation: EvaluateConfig) -> bool:

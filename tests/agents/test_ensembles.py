@@ -162,6 +162,14 @@ def test_redq_draws_its_targets_anew_and_tqc_leaves_out_the_highest() -> None:
     assert losses[0] != losses[1]
 
 
+def test_critics_of_many_layers_are_read_back() -> None:
+    widths = list(range(2, 14))
+    state = NormalisedCritics(3, 2, widths).state_dict()
+    again = NormalisedCritics.of_state(3, 2, widths, state)
+    again.load_state_dict(state)
+    assert again.weights[11].shape[2] == 13
+
+
 @pytest.mark.parametrize("name", ["crossq", "redq"])
 def test_the_actor_is_updated_less_often_than_the_critics(name: str) -> None:
     made = filled(SKILLS[name](agent(name=name, own={"updates_per_actor_update": 3}), D, A))

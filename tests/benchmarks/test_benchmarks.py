@@ -251,6 +251,17 @@ def test_every_learner_races_with_every_seed_once_and_a_stopped_benchmark_goes_o
     assert [*zip(frame["learner"], frame["seed"], strict=True)] == raced and set(frame["task"]) == {"reach"}
 
 
+def test_in_the_race_an_experiment_helps_nobody(tmp_path: Path, monkeypatch) -> None:
+    raced: list[TrainConfig] = []
+    monkeypatch.setattr(bench_train, "_races", lambda config, *_: raced.append(config) or [])
+    monkeypatch.setattr(bench_train, "need_peers", lambda: None)
+    monkeypatch.setattr(bench_train, "table", lambda _: "")
+    config = compose("train", ["experiment=comfort", "agent.other_level=0.5", f"output='{tmp_path}'"])
+    assert isinstance(config, TrainConfig) and config.curriculum.stages
+    bench_train.bench_train(config)
+    assert raced[0].curriculum.stages == [] and raced[0].agent.other_level == 0 and raced[0].agent.demonstrator is None
+
+
 def test_the_race_is_told_in_times_ours_with_an_interval_and_lower_bounds() -> None:
     seconds = {"hrl-comfort": (1, 2, 3), "other": (4, 8, 6), "late": (50, 60, 70)}
     rows = [

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from hrl_comfort.benchmarks import learners
+from hrl_comfort.benchmarks.measure import as_command
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, HierarchyTrainConfig, TrainConfig
 from hrl_comfort.training.trainer import Training
@@ -56,6 +57,14 @@ def test_all_learn_from_the_demonstrations_of_the_experiment_without_people_and_
         assert config.agent == replace(like.agent, **own, updates_per_policy_step=updates[name])
         assert (config.human.motion, config.safety.kind) == ("none", "none") and config.reward == like.reward
         assert (config.train_seed, config.episode_seed) == (3, 3)
+
+
+@pytest.mark.parametrize("words", [[], ["table.csv", "two", "1"], ["table.csv", "2"]])
+def test_a_mistaken_command_ends_with_what_to_give(words: list[str], monkeypatch, capsys) -> None:
+    monkeypatch.setattr("sys.argv", ["learners", *words])
+    said = " ".join(words) or "nothing"
+    with pytest.raises(SystemExit, match=rf"^hrl-comfort: {said} is given; give FILE\.csv MINUTES SEEDS$"):
+        as_command(learners.main)
 
 
 def test_a_pace_is_taken_while_a_learner_learns(monkeypatch) -> None:

@@ -203,6 +203,16 @@ def test_entries_of_a_folder_that_differ_in_the_suite_are_refused(tmp_path: Path
         entries.pooled(tmp_path / "other")
 
 
+def test_an_entry_that_lacks_a_quantity_is_to_be_measured_again(tmp_path: Path) -> None:
+    file = write_seeds(tmp_path / "ours", [[4.0, 10.0]]) / "0" / "benchmark.json"
+    said = json.loads(file.read_text(encoding="utf-8"))
+    for level in said["parts"]["shift"]:
+        level.pop("tool_speed_beside_m_s", None)
+    file.write_text(json.dumps(said), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"^an entry lacks tool_speed_beside_m_s; measure it again$"):
+        entries.responses("shift", tmp_path / "ours")
+
+
 def test_an_interval_of_a_rate_is_not_below_zero(tmp_path: Path) -> None:
     write_seeds(tmp_path / "ours", [[0.0], [0.0], [6.0]])
     assert entries.pooled(tmp_path / "ours")["parts"]["shift"][0]["objects_per_min"]["ci95"][0] == 0.0

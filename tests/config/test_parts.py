@@ -109,6 +109,8 @@ def test_a_part_is_loaded_by_name_from_python() -> None:
         ("task=nothing:GO", "task.name='nothing:GO' cannot be imported: No module named 'nothing'"),
         ("task=thing:hinge", "task.name='thing:hinge' is of type function; it must be a Subtask"),
         ("human=thing:nobody", "human.motion='thing:nobody': .*thing.py has no nobody"),
+        ("human=thing:__name__", "human.motion='thing:__name__' is of type str; it must be a function"),
+        ("comfort.form=thing:__name__", "comfort.form='thing:__name__' is of type str; it must be a function"),
         ("comfort.form=thing:nothing", "comfort.form='thing:nothing': .*thing.py has no nothing"),
         ("comfort.form=square", "comfort.form='square' is not allowed; choose one of paper, .*, hinge, or package.mod"),
         ("task=grab", "task=grab is not a choice; choose one of cycle, "),

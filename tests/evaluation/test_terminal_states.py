@@ -18,6 +18,8 @@ from hrl_comfort.config import (
     EvaluateConfig,
     TrainConfig,
 )
+from hrl_comfort.config.constants import TRAIN_SEED
+from hrl_comfort.evaluation import handover, terminal_states
 from hrl_comfort.evaluation.terminal_states import record_terminal_states
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.sim.engine import Engine
@@ -49,6 +51,16 @@ def test_place_begins_where_pick_ended(tmp_path: Path) -> None:
         assert np.isin(state.joint_target[row].numpy(), bank[:, 12:]).all()
     distance = (state.tcp_pos - state.target_object).norm(dim=-1)
     assert (distance < 0.3 + 0.05).all(), "the tool is at the object"
+
+
+def test_a_handover_records_other_episodes_than_those_that_a_skill_was_trained_from(tmp_path: Path) -> None:
+    paths = [tmp_path / "trained.npz", tmp_path / "new.npz"]
+    for path, first in zip(paths, (TERMINAL_STATES_SEED, handover.FIRST_SEED), strict=True):
+        record_terminal_states(chosen("task.object_jitter_m=0.02", f"terminal_states='{path}'"), first)
+    trained, new = ({tuple(row) for kind in ("orange", "pink") for row in np.load(path)[kind]} for path in paths)
+    assert trained and new and not trained & new
+    batches = handover.RECORDED_EPISODES // terminal_states.BATCH
+    assert TERMINAL_STATES_SEED + batches < handover.FIRST_SEED < TRAIN_SEED - batches
 
 
 def test_person_and_level_of_an_ending_come_with_it(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from hrl_comfort.files.run_config import environment
 from hrl_comfort.hierarchy.controllers import check_stages
 from hrl_comfort.hierarchy.decision import Top
 from hrl_comfort.hierarchy.executor import ExecutedStep, OptionExecutor, execute
-from hrl_comfort.hierarchy.options import OptionTable, chain, skill
+from hrl_comfort.hierarchy.options import Choice, Option, OptionTable, chain, skill
 from hrl_comfort.hierarchy.tops import in_order
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.sim.engine import Array, Engine
@@ -130,6 +130,34 @@ def test_an_option_out_of_time_is_tried_again_and_then_given_up(state: State) ->
     assert [step.ended.all() for step in steps] == [False, True]
     row = [(r.attempt, r.termination, r.cause) for step in steps for r in step.runs if r.row == 0]
     assert row == [(1, "preempted", "time limit"), (2, "preempted", "time limit")]
+
+
+def executor_of(table: OptionTable, state: State) -> OptionExecutor:
+    config = SimpleNamespace(comfort=COMFORT)
+    episodes = SimpleNamespace(rows=3, state=state, observed=lambda state: state, config=config)
+    episodes.subtask = subtask("cycle")
+    return OptionExecutor(table, episodes, 1)  # type: ignore[arg-type]
+
+
+def test_who_stands_still_runs_out_of_no_time(state: State) -> None:
+    executor = executor_of(three(), at(state, [0] * 3, [0] * 3))
+    executor.begin(~NO, torch.zeros(3, dtype=torch.int64))
+    with executor.held(torch.tensor([1])):
+        executor.ended(outcome(at(state, [10] * 3, [0] * 3), NO, NO, NO))
+    assert executor.timeouts.tolist() == [1, 0, 1]
+
+
+def test_an_option_that_the_end_of_an_episode_cut_short_leaves_nothing_to_the_next(state: State) -> None:
+    home = Option("home", constant(0.4), lambda state: NO, lambda state, _: NO, recovers=True)
+    table = OptionTable([*three(), Choice(home)])
+    executor = executor_of(table, at(state, [0] * 3, [0] * 3))
+    executor.begin(~NO, torch.zeros(3, dtype=torch.int64))
+    executor.ended(outcome(at(state, [5] * 3, [0] * 3), ~NO, NO, ~NO))
+    assert executor.available(at(state, [5] * 3, [0] * 3))[0].tolist() == [False, False, False, True]
+    begun = at(state, [0] * 3, [0] * 3)
+    assert executor.available(begun)[0].tolist() == [True, False, False, False]
+    executor.begin(~NO, torch.zeros(3, dtype=torch.int64))
+    assert executor.available(at(state, [1] * 3, [0] * 3))[0].tolist() == [True, False, False, False]
 
 
 def test_a_lost_object_goes_back_to_the_pick_and_does_not_count_as_an_attempt(state: State) -> None:

@@ -315,6 +315,8 @@ def test_all_that_work_but_fixed_orders_that_are_not_the_best_are_told_their_reg
     for shifts, other, why in (("3", [], "of 2 shifts"), ("2", ["safety=none"], "due earned other returns there")):
         with pytest.raises(ConfigError, match=f"^the file is there already, .*{why}; choose another file$"):
             choice.main([str(path), shifts, *here, *other])
+    with pytest.raises(ConfigError, match=r"sb3 is not empty; choose another folder$"):
+        sb3_tops.train("PPO", 8, 2, learned[-1], kitting())
     pd.DataFrame({"top": ["due"]}).to_csv(path, index=False)
     with pytest.raises(ConfigError, match=r"tops.csv is there already, and has other columns; choose another file$"):
         choice.main([str(path), "2", *here])

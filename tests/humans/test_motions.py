@@ -221,6 +221,7 @@ def test_a_mixture_draws_each_of_its_motions_equally_often() -> None:
         (["human=mixture", "human.mixture.worker.speed_m_s=9"], r"human\.mixture\.worker.*speed_m_s"),
         (["human=adversary", "human.acceleration_m_s2=null"], r"acceleration_m_s2=null"),
         (["human=recorded"], r"human\.file=null"),
+        (["human=mixture", "+human.mixture.none={}"], r"human\.mixture\.none: nobody has no distance"),
     ],
 )
 def test_what_does_not_go_together_is_refused(overrides: list[str], says: str) -> None:

@@ -151,6 +151,14 @@ def test_a_look_names_the_command_as_the_manifest_does(
     assert looks()["command"].tolist() == [said]
 
 
+def test_a_look_names_all_that_act(tmp_path: Path, looks: Callable[[], pd.DataFrame]) -> None:
+    (tmp_path / "top").mkdir()
+    (tmp_path / "top" / "model.zip").write_bytes(b"1")
+    ledger.open_split(asked(tmp_path), further=[str(tmp_path / "top")])
+    named = looks()["policy"].iloc[0].split()[-1]
+    assert named.startswith(f"{tmp_path / 'top'}@") and len(named.rpartition("@")[2]) == 16
+
+
 def test_a_data_set_is_a_look(tmp_path: Path, looks: Callable[[], pd.DataFrame]) -> None:
     pytest.importorskip("minari", reason="minari is not installed: pip install -e '.[test]'")
     dataset(asked(tmp_path))

@@ -10,6 +10,7 @@ import torch
 
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError
+from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.humans import load_evaluation_set
 from hrl_comfort.policies.expert import (
@@ -137,3 +138,10 @@ def test_weighing_ways_best_first_finds_a_cheapest_one(margin: float, pace: floa
         free = np.array([expert._cell.free(joints, end) for end in ends])
         (same,) = np.nonzero((ends == chosen).all(axis=1))
         assert cost[same].min() == cost[free].min()
+
+
+def test_the_scripted_policy_that_does_not_hold_is_named() -> None:
+    with pytest.raises(
+        ConfigError, match=r"^robot\.gripper\.name=two_finger is not allowed with policy=direct; choose"
+    ):
+        rollout(compose("evaluate", ["task=return", "cell=grasp", "policy=direct", "episodes=1"]))

@@ -46,6 +46,11 @@ class Still:
         return [[0.0] * 6] * len(observation)
 
 number = 3
+def ragged(seen):
+    return [[0.0] * 6, [0.0]]
+class Needing:
+    def __init__(self, needed):
+        pass
 """
 SHORT = {"task.max_episode_steps": 30}
 WIDTH = 36
@@ -84,6 +89,8 @@ def test_a_function_of_a_module_a_callable_and_the_command_give_the_same_episode
         ("somebody:narrow", r"returned shape \(2, 5\); actions have shape \(2, 6\)"),
         ("somebody:unbatched", r"returned shape \(6,\); actions have shape \(2, 6\)"),
         ("somebody:undefined", "returned actions that are not finite"),
+        ("somebody:ragged", "returned list without a shape"),
+        ("somebody:Needing", "is a class that cannot be made without arguments: .*missing 1 required"),
         ("somebody:number", "is of type int; it must be callable"),
         ("somebody:nothing", "somebody.py has no nothing"),
         ("nobody:act", "cannot be imported: No module named 'nobody'"),

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
+import pytest
 import torch
 from torch import Tensor, nn
 
+from hrl_comfort.config import ConfigError
+from hrl_comfort.hierarchy.options import Choice, Option, OptionTable
+from hrl_comfort.hierarchy.oracle import Oracle
 from hrl_comfort.policies.actor import Policy
 from hrl_comfort.policies.remembering import MOST, Remembering
 from hrl_comfort.tasks import State
@@ -42,6 +48,18 @@ def test_an_episode_begins_anew_after_a_pause_and_a_decision_can_be_asked_for_tw
     act = counting()
     for step, wanted in ((0, 1), (5, 2), (5, 2), (8, 3), (20, 1), (25, 2), (0, 1)):
         assert act(state([3], [step]))[0, 0] == wanted, step
+
+
+def test_what_is_remembered_goes_on_where_it_was_saved_and_the_oracle_refuses_it() -> None:
+    act, again = counting(), counting()
+    again.load_state_dict(act.state_dict())
+    act(state([7, 8], [0, 0]))
+    again.load_state_dict(act.state_dict())
+    assert again(state([8, 7, 9], [5, 5, 0]))[:, 0].tolist() == [2, 2, 1]
+    option = Option("pick", act, lambda state: state.key > 0, lambda state, _: state.key > 0)
+    executor = SimpleNamespace(table=OptionTable([Choice(option)]), option=torch.zeros(1))
+    with pytest.raises(ConfigError, match=r"^the policy of pick remembers, .*; give meta_controller another top"):
+        Oracle(SimpleNamespace(), executor)  # type: ignore[arg-type]
 
 
 def test_the_first_decision_is_that_of_the_policy_alone_and_old_episodes_are_forgotten() -> None:

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import yaml
 
-from hrl_comfort.composition.compose import compose, compose_environment
+from hrl_comfort.composition.compose import compose, compose_environment, plain_value
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.overrides import check_overrides
 from hrl_comfort.evaluation.rollout import rollout
@@ -104,6 +105,7 @@ def test_a_run_keeps_its_cell(hall: Path, tmp_path: Path) -> None:
         ("cell.places.ball_table.legs=3", "legs=3 is not allowed; choose one of 0, 1, 4"),
         ("cell.objects.orange.size_m=[1,2]", "size_m=[1.0, 2.0] has 2 numbers; shape=sphere takes 1"),
         ("cell.obstacles={a-b:{shape:box,position_m:[0,1,0],size_m:[1,1,1]}}", "'a-b' is not a name"),
+        ("cell.stations_m=[]", "cell.stations_m"),
         ("task.object=cube", "task.object='cube' is not allowed; choose one of random, orange, pink"),
         ("task=sort task.objects=7", "task.objects=7, but cell.places.ball_table.slots_m has 6; add slots"),
     ],
@@ -113,6 +115,16 @@ def test_what_a_cell_cannot_have_is_said_in_one_line(words: str, says: str) -> N
     with pytest.raises(ConfigError, match=re.escape(says)) as error:
         compose("train", [*([new] if "cube.arrives" in words else []), *words.split()])
     assert "\n" not in str(error.value)
+
+
+def test_a_file_of_a_cell_that_varies_says_how_and_gives_no_key_twice(tmp_path: Path) -> None:
+    shown = compose("train", ["cell=varied"]).cell
+    content = yaml.safe_dump({**plain_value(shown), "vary": {"layouts": 7}})
+    (tmp_path / "own.yaml").write_text(content, encoding="utf-8")
+    assert compose("train", [f"cell='{tmp_path}/own.yaml'"]).cell.vary.layouts == 7
+    (tmp_path / "own.yaml").write_text(f"{content}\nvary: {{layouts: 8}}\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"own\.yaml.*gives vary again"):
+        compose("train", [f"cell='{tmp_path}/own.yaml'"])
 
 
 def test_a_mapping_that_is_set_replaces_what_was_there_and_an_entry_joins_it() -> None:

@@ -55,6 +55,15 @@ def same(one: Path, other: Path) -> bool:
     return all(tensors) and rows[0] == rows[1]
 
 
+def test_a_shift_that_is_over_has_succeeded_and_counts_all_that_was_placed(tmp_path: Path) -> None:
+    direct = (f"policies.{name}=direct" for name in ("pick", "place", "return"))
+    config = config_of(tmp_path / "run", "task=shift", "task.max_episode_steps=900", "engine.num_envs=2", *direct)
+    collector, over = ControllerTraining(config, tmp_path, resumes=False).collector, []
+    while not over:
+        over = collector.step(RULES["nearest"](collector.env.decision)).finished
+    assert [episode["success"] for episode in over] == [1.0] * 2 and all(episode["placed"] >= 2 for episode in over)
+
+
 @pytest.mark.parametrize("at", [14, 25, 40])
 def test_a_controllers_training_that_was_killed_goes_on_to_the_same_bits(whole, tmp_path, at):
     folder = tmp_path / "run"

@@ -25,7 +25,7 @@ from hrl_comfort.files.tables import read_table
 from hrl_comfort.sweeps.job import OtherRunError, state_of
 from hrl_comfort.training import hierarchy_trainer as module
 from hrl_comfort.training.controller_trainer import ControllerTraining
-from hrl_comfort.training.hierarchy_trainer import option_config, train_hierarchy
+from hrl_comfort.training.hierarchy_trainer import evaluations, option_config, train_hierarchy
 from hrl_comfort.training.preemption import Preempted
 from hrl_comfort.training.trainer import Training
 from tests.stopping import stopping
@@ -223,6 +223,15 @@ def test_a_budget_is_shared_and_a_cycle_lasts_three_subtasks():
     assert isinstance(staged, HierarchyTrainConfig)
     own = option_config(staged, "place", Path("runs"), "ik")
     assert [stage.policy_steps for stage in own.curriculum.stages] == [1400, 840]
+
+
+def test_a_controller_is_evaluated_beside_people_that_its_own_training_did_not_see():
+    own = "hierarchy.controller=['task=shift','human=fetcher','human.partitioned=true']"
+    config = compose("train_hierarchy", ["human=random_walk", own])
+    assert isinstance(config, HierarchyTrainConfig)
+    options = [option_config(config, name, Path("runs") / name, "ik") for name in config.meta_controller.options]
+    splits = {Path(each.output).parent.name: each.split for each in evaluations(config, Path("runs"), options)}
+    assert splits["cycle"] == splits["pick"] == "paper" and splits["shift_learned"] == "validation"
 
 
 @pytest.mark.parametrize(

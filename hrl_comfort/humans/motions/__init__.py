@@ -10,7 +10,7 @@ import numpy as np
 
 from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import CONTROL_STEP_S, HumanConfig
-from hrl_comfort.config.checks import part
+from hrl_comfort.config.checks import function
 from hrl_comfort.humans.motions.adversary import adversary
 from hrl_comfort.humans.motions.live import live
 from hrl_comfort.humans.motions.moves import NUMBERS
@@ -70,7 +70,7 @@ def motion(name: str) -> Motion:
     Raises:
       ConfigError: there is none.
     """
-    return part("human.motion", name, MOTIONS)
+    return function("human.motion", name, MOTIONS)
 
 
 def free(config: HumanConfig) -> bool:

@@ -31,7 +31,7 @@ STRAIGHT_M = 0.3
 
 @kernel
 def towards(dx: float, dy: float, speed_m_s: float, acceleration_m_s2: float) -> tuple[float, float]:
-    """See `steering.towards`, of an offset (dx, dy) m."""
+    """Return the velocity (vx, vy) m/s towards an offset (dx, dy) m, of somebody who can stop there."""
     distance, brake = math.sqrt(dx * dx + dy * dy), acceleration_m_s2 * CONTROL_STEP_S
     arriving = math.sqrt(brake * brake + 2 * acceleration_m_s2 * distance) - brake
     share = min(speed_m_s, arriving) / max(distance, 1e-9)
