@@ -106,12 +106,17 @@ def _batch(config: EvaluateConfig, entries: EvaluationSet, first: int) -> tuple[
     rows = len(entries.episode)
     engine = make_engine(environment(config), rows, 0, entries, disturbance=config.disturbance)
     executor, top = make_executor(config, None, engine, int(entries.episode_seed[0]))
+
+    def observe(state: State) -> torch.Tensor:
+        return engine.episodes.subtask.observe(engine.episodes.observed(state))
+
     state = engine.reset()
-    observations, rewards, terminated, given_up, actions, active = [engine.episodes.observe()], [], [], [], [], []
+    observations, rewards, terminated, given_up, actions, active = [observe(state)], [], [], [], [], []
     infos = [_infos(state, torch.full((rows,), NO_OPTION))]
     for executed in execute(engine, executor, top):
         result = executed.result
-        observations.append(engine.episodes.observe())
+        observations[-1] = observe(result.before)  # an option may have aimed at another object since
+        observations.append(observe(result.state))
         actions.append(executed.action)
         rewards.append(result.reward)
         terminated.append(result.terminated)
