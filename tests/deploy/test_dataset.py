@@ -75,8 +75,9 @@ def test_a_chain_tells_its_options(tmp_path):
     assert set(next(loaded.iterate_episodes()).infos["option"][1:]) == {0, 1, 2}
 
 
-def test_an_action_is_stored_beside_what_it_was_chosen_on(tmp_path, monkeypatch):
-    """Even where an option aims at another object before it acts."""
+@pytest.mark.parametrize("top", ["nearest", "oracle"])
+def test_an_action_is_stored_beside_what_it_was_chosen_on(top, tmp_path, monkeypatch):
+    """Even where an option aims at another object before it acts, and where cells wait for one another (`oracle`)."""
     chosen = [], []
 
     def made(config, policy, engine, seed):
@@ -93,7 +94,8 @@ def test_an_action_is_stored_beside_what_it_was_chosen_on(tmp_path, monkeypatch)
         return executor, top
 
     monkeypatch.setattr("hrl_comfort.deploy.dataset.make_executor", made)
-    folder = written(tmp_path / "data", "task=sort", "meta_controller=nearest", "episodes=2", *EXPERTS)
+    sort = ["task=sort", "task.objects=2", f"meta_controller={top}"]
+    folder = written(tmp_path / "data", *sort, "episodes=2", *EXPERTS)
     for episode, expected in zip(minari.MinariDataset(folder / "data").iterate_episodes(), chosen, strict=True):
         observations, actions = (torch.stack(each).float().numpy() for each in zip(*expected, strict=True))
         np.testing.assert_array_equal(episode.observations[:-1], observations)
