@@ -105,7 +105,7 @@ def _batch(config: EvaluateConfig, entries: EvaluationSet, first: int) -> tuple[
 
     rows = len(entries.episode)
     engine = make_engine(environment(config), rows, 0, entries, disturbance=config.disturbance)
-    executor, top = make_executor(config, None, engine, int(entries.episode_seed[0]))
+    executor, top = make_executor(config, None, engine, config.first_seed)
 
     def observe(state: State) -> torch.Tensor:
         return engine.episodes.subtask.observe(engine.episodes.observed(state))

@@ -12,6 +12,7 @@ from docs.behaviour_cloning import clone
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import VALIDATION_SEED, ConfigError
 from hrl_comfort.deploy.dataset import dataset
+from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.hierarchy.controllers import make_executor
 
 CONDITIONED = "comfort=conditioned"
@@ -100,6 +101,17 @@ def test_an_action_is_stored_beside_what_it_was_chosen_on(top, tmp_path, monkeyp
         observations, actions = (torch.stack(each).float().numpy() for each in zip(*expected, strict=True))
         np.testing.assert_array_equal(episode.observations[:-1], observations)
         np.testing.assert_array_equal(episode.actions, actions)
+
+
+def test_a_random_policy_does_in_a_data_set_what_it_does_in_an_evaluation(tmp_path, monkeypatch):
+    """However many episodes are simulated side by side."""
+    monkeypatch.setattr("hrl_comfort.deploy.dataset.BATCH", 2)
+    words = ["policy=random", "task=reach", "episodes=4"]
+    episodes = [*minari.MinariDataset(written(tmp_path / "data", *words) / "data").iterate_episodes()]
+    evaluated = rollout(compose("evaluate", [*words, "split=validation"])).episodes
+    assert [sum(each.infos["control_steps"]) for each in episodes] == [each.steps for each in evaluated]
+    returns = [each.return_ for each in evaluated]
+    np.testing.assert_allclose([each.rewards.sum() for each in episodes], returns, rtol=1e-5)
 
 
 def test_a_folder_with_files_is_refused(tmp_path):
