@@ -206,6 +206,23 @@ def test_a_start_that_fails_leaves_no_process(at: str, tmp_path: Path, monkeypat
     assert not (set(multiprocessing.active_children()) - before) and gc.isenabled()
 
 
+START = """
+import signal
+from hrl_comfort.deploy.links import Paced
+from tests.deploy.faulty_arm import Interrupted, refused
+try:
+    Paced(Interrupted(refused), None, None)
+except Exception as error:
+    print(error, signal.pthread_sigmask(signal.SIG_BLOCK, []))
+"""
+
+
+def test_a_streamer_that_is_interrupted_as_it_starts_goes_on() -> None:
+    """Even as the first child of its process."""
+    done = subprocess.run([sys.executable, "-c", START], capture_output=True, text=True, check=True)
+    assert done.stdout == "connection: no such arm set()\n"
+
+
 @pytest.mark.parametrize(
     ("override", "said"),
     [
