@@ -105,13 +105,18 @@ def _batch(config: EvaluateConfig, entries: EvaluationSet, first: int) -> tuple[
 
     rows = len(entries.episode)
     engine = make_engine(environment(config), rows, 0, entries, disturbance=config.disturbance)
-    executor, top = make_executor(config, None, engine, int(entries.episode_seed[0]))
+    executor, top = make_executor(config, None, engine, config.first_seed)
+
+    def observe(state: State) -> torch.Tensor:
+        return engine.episodes.subtask.observe(engine.episodes.observed(state))
+
     state = engine.reset()
-    observations, rewards, terminated, given_up, actions, active = [engine.episodes.observe()], [], [], [], [], []
+    observations, rewards, terminated, given_up, actions, active = [observe(state)], [], [], [], [], []
     infos = [_infos(state, torch.full((rows,), NO_OPTION))]
     for executed in execute(engine, executor, top):
         result = executed.result
-        observations.append(engine.episodes.observe())
+        observations[-1] = observe(result.before)  # an option may have aimed at another object since
+        observations.append(observe(result.state))
         actions.append(executed.action)
         rewards.append(result.reward)
         terminated.append(result.terminated)
@@ -119,25 +124,29 @@ def _batch(config: EvaluateConfig, entries: EvaluationSet, first: int) -> tuple[
         active.append(executed.active)
         infos.append(_infos(result.state.with_(level=result.level), executed.option, result))
     engine.close()
-    lengths = torch.stack(active).sum(dim=0).tolist()
+    # Decisions of each row; in others it waits, where the top decides for all cells together, or has ended.
+    decisions = [torch.nonzero(own).squeeze(-1).tolist() for own in torch.stack(active, dim=1)]
 
-    def of(series: list[torch.Tensor], row: int, steps: int) -> Any:
-        values = torch.stack([each[row] for each in series[:steps]]).numpy()
+    def of(series: list[torch.Tensor], row: int, at: list[int]) -> Any:
+        values = torch.stack([series[index][row] for index in at]).numpy()
         return values.astype(np.float32) if values.dtype == np.float64 else values
 
     return [
         EpisodeBuffer(
             id=first + row,
             seed=int(entries.episode_seed[row]),
-            observations=of(observations, row, steps + 1),
-            actions=of(actions, row, steps),
-            rewards=of(rewards, row, steps),
-            terminations=of(terminated, row, steps),
-            truncations=of(given_up, row, steps),
+            observations=of(observations, row, [*at, at[-1] + 1]),
+            actions=of(actions, row, at),
+            rewards=of(rewards, row, at),
+            terminations=of(terminated, row, at),
+            truncations=of(given_up, row, at),
             # As lists, for Minari does not read arrays of one number a row.
-            infos={name: of([each[name] for each in infos], row, steps + 1).tolist() for name in infos[0]},
+            infos={
+                name: of([each[name] for each in infos], row, [0, *(index + 1 for index in at)]).tolist()
+                for name in infos[0]
+            },
         )
-        for row, steps in enumerate(lengths)
+        for row, at in enumerate(decisions)
     ], executor.table.names
 
 

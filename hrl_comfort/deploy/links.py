@@ -10,9 +10,9 @@ import os
 import signal
 import time
 import warnings
-from collections.abc import Callable
-from contextlib import suppress
-from multiprocessing import get_context
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Protocol
@@ -43,6 +43,17 @@ def prefer(priority: int) -> None:
     except (OSError, AttributeError):  # Linux allows it to root and with a limit `rtprio`
         if priority == RUNNER:
             warnings.warn("no real-time priority (limit rtprio): beside other work the arm may stop", stacklevel=2)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Block SIGINT; processes that are started meanwhile keep it blocked."""
+    resource_tracker.ensure_running()  # its start, part of that of the first process, unblocks SIGINT
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class Link(Protocol):
@@ -124,7 +135,8 @@ class Paced:
         context = get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=serve, args=(theirs, open_arm, limits, log), name="streamer")
-        self._process.start()
+        with uninterrupted():  # SIGINT before `serve` ignores it would end the process, and `start` may then hang
+            self._process.start()
         theirs.close()
         prefer(RUNNER)
         try:

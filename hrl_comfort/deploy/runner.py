@@ -68,15 +68,21 @@ def deploy(config: DeployConfig, open_arm: OpenArm | None = None) -> Path:
             rehearse(config, Lockstep(simulated(scene), limits, Path(os.devnull)), interrupted)
         confirm(config)
         opened = open_arm or arm_of(config, scene)
-        with interruption() as interrupted, closing(Paced(opened, limits, output / "setpoints.bin")) as link:
-            for name in (*STALE, "episodes.csv"):
-                (output / name).unlink(missing_ok=True)
-            save_config(config, output / "config.yaml")
-            run = Run(config, link, interrupted)
+        log = output / "setpoints.bin"
+        with interruption() as interrupted, closing(Paced(opened, limits, log)) as link:
             try:
-                run.all()
-            finally:
-                run.write(output)
+                run = Run(config, link, interrupted)
+            except ConfigError:
+                log.unlink(missing_ok=True)  # nothing has moved: the folder stays as it was
+                raise
+            with closing(run):
+                for name in (*STALE, "episodes.csv"):
+                    (output / name).unlink(missing_ok=True)
+                save_config(config, output / "config.yaml")
+                try:
+                    run.all()
+                finally:
+                    run.write(output)
     print(output)
     return output
 
@@ -169,6 +175,10 @@ class Run:
         """See `RobotEngine`; of the last episode that began."""
         return self._engine.lying()
 
+    def close(self) -> None:
+        """Stop listening to live levels; the link is its owner's."""
+        self._engine.close()
+
     def all(self) -> None:
         """Run every episode; bring the arm to rest at the end, and where one is stopped.
 
@@ -242,13 +252,13 @@ def rehearse(config: DeployConfig, link: Link, interrupted: Callable[[], bool]) 
     Raises:
       ConfigError: the arm touches a table or itself, or its set-points break a limit.
     """
-    run = Run(config, link, interrupted, endure=True)
-    try:
-        run.all()
-    except StoppedError as error:
-        if error.code == INTERRUPTED:
-            raise
-        raise ConfigError(f"dry run: {error}") from None
+    with closing(Run(config, link, interrupted, endure=True)) as run:
+        try:
+            run.all()
+        except StoppedError as error:
+            if error.code == INTERRUPTED:
+                raise
+            raise ConfigError(f"dry run: {error}") from None
     episodes = run.result.episodes
     touched = [each.episode for each in episodes if each.other_collision != "none"]
     if touched:

@@ -18,6 +18,12 @@ PREFIXES = ("sb3:", "onnx:")
 """Prefixes that may stand before a path."""
 
 
+def split_prefix(value: str) -> tuple[str, str]:
+    """Return the prefix that stands before a path, one of PREFIXES or none, and the path."""
+    prefix = next((each for each in PREFIXES if value.startswith(each)), "")
+    return prefix, value.removeprefix(prefix)
+
+
 def stored(values: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """Return a configuration as the run `folder` holds it: paths relative to the folder, which is its `output`.
 
@@ -84,7 +90,6 @@ def _walk(key: str, value: Any, change: Callable[[str], str]) -> Any:
         case list() | tuple():
             return [_walk("", each, change) for each in value]
         case str() if key.split(".")[-1] in KEYS and value not in NAMES:  # a stage sets dotted keys
-            prefix = next((each for each in PREFIXES if value.startswith(each)), "")
-            path = value.removeprefix(prefix)
+            prefix, path = split_prefix(value)
             return value if not path or re.match(r"[\w.]+:", path) else prefix + change(path)
     return value

@@ -134,6 +134,8 @@ def _rows(name: str, columns: int, lines: list[list[str]]) -> Iterator[list[floa
             raise ConfigError(f"{where} is not {count} finite numbers: {','.join(line)}")
         if not (np.abs(values[1:]) <= FARTHEST).all():
             raise ConfigError(f"{where} has a value beyond ±{FARTHEST:g} (m, rad): {','.join(line)}")
+        if values[0] < 0:
+            raise ConfigError(f"{where} has t={values[0]:g}; times must be 0 or more: subtract the first time from all")
         if values[0] <= before:
             raise ConfigError(f"{where} has t={values[0]:g}, not after {before:g}")
         before = values[0]

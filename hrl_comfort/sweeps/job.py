@@ -14,10 +14,12 @@ from hydra.core.hydra_config import HydraConfig
 
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import HIERARCHY, ConfigError, EvaluateConfig, HierarchyTrainConfig, TrainingConfig
+from hrl_comfort.config.checks import is_object
 from hrl_comfort.config.overrides import override, root_of
 from hrl_comfort.files.atomic import overwrites
 from hrl_comfort.files.output import EVALUATION_MARKS, INSIST, is_own
 from hrl_comfort.files.provenance import RunState, run_state
+from hrl_comfort.files.relative_paths import split_prefix
 from hrl_comfort.files.run_config import is_same, load_config
 from hrl_comfort.files.sweep_record import Job
 from hrl_comfort.sweeps.subprocesses import ERRORS, run_in_subprocess
@@ -91,7 +93,8 @@ def job(verb: str, run: Command, command: str, _: object) -> JobResult:
 def state_of(config: TrainingConfig | EvaluateConfig) -> RunState:
     """Return the state of the job that `config` describes, by the content of its output folder.
 
-    An evaluation is finished while its summary is newer than every policy of it.
+    An evaluation is finished while its summary is newer than every policy of it. With a policy of Python code it never
+    is, for no file tells all that the code depends on.
 
     Raises:
       OtherRunError: the folder holds another training.
@@ -121,8 +124,11 @@ def _is_newest(summary: Path, config: EvaluateConfig) -> bool:
     from hrl_comfort.policies.actor import policy_file
 
     named = {"policy": config.policy, **config.policies}
-    paths = {name: Path(path) for name, path in named.items() if path is not None and Path(path).exists()}
-    files = [choice_file(path) if name == "meta_controller" else policy_file(path) for name, path in paths.items()]
+    paths = {name: split_prefix(source)[1] for name, source in named.items() if source is not None}
+    if any(map(is_object, paths.values())):
+        return False
+    there = {name: Path(path) for name, path in paths.items() if Path(path).exists()}
+    files = [choice_file(path) if name == "meta_controller" else policy_file(path) for name, path in there.items()]
     return all(file.stat().st_mtime <= summary.stat().st_mtime for file in files)
 
 

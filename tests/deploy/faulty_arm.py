@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import signal
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -17,6 +20,20 @@ FAULTS = ("protective stop", "emergency stop", "connection", "slow", "held")
 
 def refused() -> SimulatedArm:
     raise ConfigError("no such arm")
+
+
+class Interrupted:
+    """Opens an arm; the process that it is sent to gets SIGINT as it starts."""
+
+    def __init__(self, open_arm: Callable[[], SimulatedArm]) -> None:
+        self.open_arm = open_arm
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        signal.raise_signal(signal.SIGINT)
+        vars(self).update(state)
+
+    def __call__(self) -> SimulatedArm:
+        return self.open_arm()
 
 
 class FaultyArm(SimulatedArm):

@@ -3,6 +3,7 @@
 import json
 
 import minari
+import numpy as np
 import pytest
 import torch
 
@@ -11,8 +12,11 @@ from docs.behaviour_cloning import clone
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import VALIDATION_SEED, ConfigError
 from hrl_comfort.deploy.dataset import dataset
+from hrl_comfort.evaluation.rollout import rollout
+from hrl_comfort.hierarchy.controllers import make_executor
 
 CONDITIONED = "comfort=conditioned"
+EXPERTS = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
 
 
 def written(output, *overrides):
@@ -66,11 +70,48 @@ def test_behaviour_cloning_from_the_data_set_picks(pick, monkeypatch):
 
 
 def test_a_chain_tells_its_options(tmp_path):
-    policies = [f"policies.{name}=expert" for name in ("pick", "place", "return")]
-    folder = written(tmp_path / "data", "task=cycle", "meta_controller=nearest", "episodes=3", *policies)
+    folder = written(tmp_path / "data", "task=cycle", "meta_controller=nearest", "episodes=3", *EXPERTS)
     loaded = minari.MinariDataset(folder / "data")
     assert loaded.storage.metadata["options"] == ["pick", "place", "return"]
     assert set(next(loaded.iterate_episodes()).infos["option"][1:]) == {0, 1, 2}
+
+
+@pytest.mark.parametrize("top", ["nearest", "oracle"])
+def test_an_action_is_stored_beside_what_it_was_chosen_on(top, tmp_path, monkeypatch):
+    """Even where an option aims at another object before it acts, and where cells wait for one another (`oracle`)."""
+    chosen = [], []
+
+    def made(config, policy, engine, seed):
+        executor, top = make_executor(config, policy, engine, seed)
+        act, episodes = executor.act, engine.episodes
+
+        def noted(state, acting):
+            observation, action = episodes.subtask.observe(episodes.observed(state)), act(state, acting)
+            for row in torch.nonzero(acting).squeeze(-1).tolist():
+                chosen[row].append((observation[row], action[row]))
+            return action
+
+        executor.act = noted
+        return executor, top
+
+    monkeypatch.setattr("hrl_comfort.deploy.dataset.make_executor", made)
+    sort = ["task=sort", "task.objects=2", f"meta_controller={top}"]
+    folder = written(tmp_path / "data", *sort, "episodes=2", *EXPERTS)
+    for episode, expected in zip(minari.MinariDataset(folder / "data").iterate_episodes(), chosen, strict=True):
+        observations, actions = (torch.stack(each).float().numpy() for each in zip(*expected, strict=True))
+        np.testing.assert_array_equal(episode.observations[:-1], observations)
+        np.testing.assert_array_equal(episode.actions, actions)
+
+
+def test_a_random_policy_does_in_a_data_set_what_it_does_in_an_evaluation(tmp_path, monkeypatch):
+    """However many episodes are simulated side by side."""
+    monkeypatch.setattr("hrl_comfort.deploy.dataset.BATCH", 2)
+    words = ["policy=random", "task=reach", "episodes=4"]
+    episodes = [*minari.MinariDataset(written(tmp_path / "data", *words) / "data").iterate_episodes()]
+    evaluated = rollout(compose("evaluate", [*words, "split=validation"])).episodes
+    assert [sum(each.infos["control_steps"]) for each in episodes] == [each.steps for each in evaluated]
+    returns = [each.return_ for each in evaluated]
+    np.testing.assert_allclose([each.rewards.sum() for each in episodes], returns, rtol=1e-5)
 
 
 def test_a_folder_with_files_is_refused(tmp_path):

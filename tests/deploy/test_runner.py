@@ -25,10 +25,12 @@ from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, DeployConfig, EvaluateConfig
 from hrl_comfort.deploy import runner
 from hrl_comfort.deploy.arms import SimulatedArm
+from hrl_comfort.deploy.links import Lockstep
 from hrl_comfort.deploy.runner import LOG, deploy
 from hrl_comfort.deploy.stops import StoppedError
 from hrl_comfort.deploy.streamer import COLUMNS
-from hrl_comfort.evaluation.rollout import rollout
+from hrl_comfort.evaluation.rollout import STALE, rollout
+from hrl_comfort.files.run_config import save_config
 from hrl_comfort.files.tables import read_table
 from hrl_comfort.scene.workcell import build_scene
 from tests.deploy.faulty_arm import FaultyArm, refused
@@ -126,9 +128,10 @@ def test_a_person_who_is_no_longer_seen_stops_the_arm(people: int, tmp_path: Pat
 
 
 def test_a_level_that_no_longer_comes_stops_the_arm(tmp_path: Path) -> None:
-    more = ["comfort=conditioned", "comfort.source=udp", "comfort.stream.port=0", "comfort.stream.stall_s=0.5"]
+    """At a port of its own, which the dry run has freed."""
+    more = ["comfort=conditioned", "comfort.source=udp", "comfort.stream.stall_s=0.5"]
     with pytest.raises(StoppedError, match=r"stale level: no good value for 0.5 s"):
-        deploy(config(tmp_path / "out", *more))
+        deploy(config(tmp_path / "out", *more, f"comfort.stream.port={free_port()}"))
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
@@ -175,6 +178,21 @@ def fails(*args: object) -> NoReturn:
     raise ConfigError("no such policy")
 
 
+def test_a_start_that_fails_leaves_earlier_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runner, "rehearse", lambda *args: None)
+    monkeypatch.setattr(runner, "Paced", Lockstep)
+    monkeypatch.setattr(runner, "Run", fails)
+    asked = config(tmp_path)
+    save_config(asked, tmp_path / "config.yaml")
+    earlier = {each: each.read_bytes() for each in tmp_path.iterdir()}
+    for name in (*STALE, "episodes.csv"):
+        earlier[tmp_path / name] = b"earlier"
+        (tmp_path / name).write_bytes(b"earlier")
+    with pytest.raises(ConfigError, match="no such policy"):
+        deploy(replace(asked, episodes=2))
+    assert {each: each.read_bytes() for each in tmp_path.iterdir()} == earlier
+
+
 @pytest.mark.parametrize("at", ["no such arm", "no such policy"])
 def test_a_start_that_fails_leaves_no_process(at: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = config(tmp_path / "out")
@@ -186,6 +204,23 @@ def test_a_start_that_fails_leaves_no_process(at: str, tmp_path: Path, monkeypat
     with pytest.raises(ConfigError, match=at):
         deploy(asked, arm)
     assert not (set(multiprocessing.active_children()) - before) and gc.isenabled()
+
+
+START = """
+import signal
+from hrl_comfort.deploy.links import Paced
+from tests.deploy.faulty_arm import Interrupted, refused
+try:
+    Paced(Interrupted(refused), None, None)
+except Exception as error:
+    print(error, signal.pthread_sigmask(signal.SIG_BLOCK, []))
+"""
+
+
+def test_a_streamer_that_is_interrupted_as_it_starts_goes_on() -> None:
+    """Even as the first child of its process."""
+    done = subprocess.run([sys.executable, "-c", START], capture_output=True, text=True, check=True)
+    assert done.stdout == "connection: no such arm set()\n"
 
 
 @pytest.mark.parametrize(

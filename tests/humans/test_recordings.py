@@ -113,6 +113,12 @@ def test_a_column_in_another_unit_is_refused_and_named(tmp_path: Path, lines: li
         read(tmp_path, "wrong.csv", text(scales))
 
 
+@pytest.mark.parametrize("last_s", [-1.0, 2.0])
+def test_a_negative_time_is_refused(tmp_path: Path, last_s: float) -> None:
+    with pytest.raises(ConfigError, match=r"line 2 has t=-2; times must be 0 or more: subtract the first time"):
+        read(tmp_path, "early.csv", f"t,x,y,yaw\n-2,1,0,0\n{last_s},1,0.5,0\n")
+
+
 def test_turns_jumps_and_wraps_of_people_are_taken(tmp_path: Path) -> None:
     lines = [(0.02 * k, 3.0 * (k >= 30), 1.0, (0.1 * k + 3.0) % (2 * np.pi) - np.pi) for k in range(1000)]
     text = "t,x,y,yaw\n" + "\n".join(",".join(map(str, line)) for line in lines)

@@ -19,9 +19,10 @@ import pytest
 
 from hrl_comfort.cli import main as commands
 from hrl_comfort.composition.compose import compose
-from hrl_comfort.config import ConfigError
+from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.hydra_conf import hydra_over_conf
 from hrl_comfort.files.output import held_folder
+from hrl_comfort.files.provenance import RunState
 from hrl_comfort.files.run_config import save_config
 from hrl_comfort.files.sweep_record import Job, find_jobs, read_job
 from hrl_comfort.sweeps import job as sweep_job
@@ -248,6 +249,32 @@ def test_evaluations_of_several_runs_go_to_the_runs(tmp_path: Path, monkeypatch,
     assert "add -m to evaluate each" in capsys.readouterr().err
     assert commands.main(["evaluate", "-m", "a", "hydra/launcher=basic", "human=arc,still"]) == 1
     assert len(find_jobs(max((tmp_path / "runs" / "sweep").iterdir()))) == 2
+
+
+@pytest.mark.parametrize(
+    ("policy", "age_s", "state"),
+    [
+        ("{file}", 1, RunState.FINISHED),
+        ("{file}", -1, RunState.NEW),
+        ("sb3:{file}", 1, RunState.FINISHED),
+        ("sb3:{file}", -1, RunState.NEW),
+        ("onnx:{file}", -1, RunState.NEW),
+        ("my_package.policies:mine", 1, RunState.NEW),
+        ("expert", 1, RunState.FINISHED),
+    ],
+)
+def test_an_evaluation_is_finished_while_it_is_newer_than_its_policy(
+    policy: str, age_s: float, state: RunState, tmp_path: Path
+) -> None:
+    """`age_s` is the age of the policy's file when the evaluation was written."""
+    file, output = tmp_path / "policy", tmp_path / "eval"
+    asked = compose("evaluate", ["task=reach", f"policy='{policy.format(file=file)}'", f"output='{output}'"])
+    assert isinstance(asked, EvaluateConfig)
+    save_config(asked, output / "config.yaml")
+    for each, time_s in (file, 1000.0 - age_s), (output / "summary.json", 1000.0):
+        each.touch()
+        os.utime(each, (time_s, time_s))
+    assert sweep_job.state_of(asked) is state
 
 
 def test_jobs_that_a_launcher_has_left_are_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
