@@ -73,10 +73,8 @@ class LiveStudio(Watcher):
         """Make the cells anew with other sections of the configuration; for requests.
 
         Raises:
-          ConfigError: a policy does not fit, or a recording is under way; the cells stay as they are.
+          ConfigError: a policy does not fit; the cells stay as they are.
         """
-        if self.records.recorders:
-            raise ConfigError("the cell is being recorded; stop the recording, then reset")
         made = [Session(replace(session.config, **sections)) for session in self.sessions]
         for index, new in enumerate(made):
             old, self.sessions[index] = self.sessions[index], new

@@ -131,6 +131,24 @@ def test_a_recording_is_marked_until_it_ends(make: Make) -> None:
     assert mark("recording") not in studio.panel._readout.lines
 
 
+def test_a_change_that_a_recording_holds_up_is_made_once_it_has_ended(make: Make) -> None:
+    studio = make("policy=random")
+    studio.records.toggle()
+    studio.play.advance()
+    studio.tuning.draft.set("reward.contact", "-77")
+    studio.tuning._changed(None)
+    for _ in range(2):
+        studio.play.reset()
+        said = unescape(" ".join(studio.tuning._said.lines))
+        assert studio.sessions[0].config.reward.contact != -77 and "⚠" not in said
+        assert "At the next reset after the recording" in said
+    studio.play.advance()
+    studio.records.write()
+    studio.play.reset()
+    assert studio.sessions[0].config.reward.contact == -77
+    assert "At the next reset" not in " ".join(studio.tuning._said.lines)
+
+
 def test_cells_side_by_side_have_their_policies_names(make: Make) -> None:
     studio = make("policy=random", "beside=expert")
     assert [view._label and view._label.text for view in studio.views] == ["random", "expert"]

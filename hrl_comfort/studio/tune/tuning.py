@@ -91,15 +91,16 @@ class Tuning:
         now = [key for key in self._due if takes_effect_at_once(key)]
         later = [key for key in self._due if key not in now]
         said += [f"In force: {', '.join(now)}"] if now else []
-        said += [bold("At the next reset"), ", ".join(later)] if later else []
+        when = "At the next reset" + " after the recording" * self._panel.recording
+        said += [bold(when), ", ".join(later)] if later else []
         said += [warning(error)] if error else []
         self._said.show(*said)
 
     def _renew(self) -> None:
-        """Make the cells as the draft says, once; cells that cannot be made so stay as they are."""
+        """Make the cells as the draft says, once; cells that are recorded or cannot be made so stay as they are."""
         config, error = self.draft.config, None
         assert isinstance(config, StudioConfig)
-        if config is self._tried:
+        if config is self._tried or self._panel.recording:
             return
         self._tried = config
         changed = dict(self.draft.changed)
