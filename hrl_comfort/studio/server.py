@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import threading
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hrl_comfort.comfort.sources import LiveLevels
 from hrl_comfort.composition.policies import with_policy
 from hrl_comfort.config import ConfigError, StudioConfig
 from hrl_comfort.studio.curves import Curves
@@ -37,7 +39,9 @@ class LiveStudio(Watcher):
     """
 
     def __init__(self, config: StudioConfig) -> None:
-        self.sessions = [Session(config), *beside(config)]
+        self.live = LiveLevels()
+        """Levels of all cells that follow a live stream."""
+        self.sessions = made(cells(config, self.live))
         self.page = Page(config.host, config.port, ", ".join(map(policy_label, self.sessions)))
         self.views = [self._view(index) for index in range(len(self.sessions))]
         by_hand = config.human.motion == "live" and config.human.file is None
@@ -75,8 +79,8 @@ class LiveStudio(Watcher):
         Raises:
           ConfigError: a policy does not fit; the cells stay as they are.
         """
-        made = [Session(replace(session.config, **sections)) for session in self.sessions]
-        for index, new in enumerate(made):
+        configs = [replace(session.config, **sections) for session in self.sessions]
+        for index, new in enumerate(made(Session(config, self.live.of(config.comfort)) for config in configs)):
             old, self.sessions[index] = self.sessions[index], new
             if old.by_hand and new.by_hand and old.config.comfort.level == new.config.comfort.level:
                 new.set_level(old.slider.value)
@@ -96,6 +100,7 @@ class LiveStudio(Watcher):
         self.page.stop()
         for session in self.sessions:
             session.close()
+        self.live.close()
 
     def began(self, cell: int, session: Session) -> None:
         """See `play.Watcher`."""
@@ -112,18 +117,29 @@ class LiveStudio(Watcher):
             self.curves.draw()
 
 
-def beside(config: StudioConfig) -> list[Session]:
-    """Return the second cell, if one is asked for.
+def cells(config: StudioConfig, live: LiveLevels) -> Iterator[Session]:
+    """Make the first cell and, if it is asked for, the second.
 
     Raises:
-      ConfigError: its policy does not fit.
+      ConfigError: a policy does not fit, or a live stream cannot be opened.
     """
+    levels = live.of(config.comfort)
+    yield Session(config, levels)
     if config.beside is None:
-        return []
+        return
     try:
-        return [Session(with_policy(config, config.beside))]
+        second = Session(with_policy(config, config.beside), levels)
     except ConfigError as error:
         raise ConfigError(f"beside={config.beside!r} does not fit the cell: {error}") from None
+    yield second
+
+
+def made(sessions: Iterable[Session]) -> list[Session]:
+    """Return `sessions` that are made one by one; if one cannot be made, those before are closed."""
+    with ExitStack() as undo:
+        found = [undo.enter_context(closing(session)) for session in sessions]
+        undo.pop_all()
+    return found
 
 
 class Drag:

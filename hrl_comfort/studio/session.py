@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from hrl_comfort import humans
-from hrl_comfort.comfort.sources import Floats, Source
+from hrl_comfort.comfort.sources import Floats, Live, Source
 from hrl_comfort.comfort.terms import human_distance, present
 from hrl_comfort.config import CONTROL_STEP_S, ComfortConfig, ConfigError, HumanConfig, StudioConfig
 from hrl_comfort.files.run_config import environment
@@ -88,18 +88,19 @@ class Session:
 
     Args:
       config: of the cell, the person, the comfort level and the policies.
+      live: levels shared with other sessions; who opened them closes them.
 
     Raises:
       ConfigError: a policy is missing or does not fit.
     """
 
-    def __init__(self, config: StudioConfig) -> None:
+    def __init__(self, config: StudioConfig, live: Live | None = None) -> None:
         torch.set_num_threads(1)
         self.asked = config
         """Configuration as given; `config` is that in force, with a level."""
         self.config = with_level(config)
         env = environment(self.config)
-        self.engine = Engine(env, 1, config.first_seed, measure_arm=True, disturbance=config.disturbance)
+        self.engine = Engine(env, 1, config.first_seed, measure_arm=True, disturbance=config.disturbance, live=live)
         self.slider = Slider(env.comfort, 1)
         self._configured = self.engine.episodes.source
         if env.comfort.source == "fixed":
@@ -279,7 +280,7 @@ class Session:
         self.engine.episodes.go_on_as(human)
 
     def close(self) -> None:
-        """Stop the engine's threads, and listening to live levels."""
+        """Stop the engine's threads, and listening to live levels of its own."""
         self.engine.close()
         self._configured.close()
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+import socket
 from collections.abc import Callable, Iterator
 from html import unescape
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -15,9 +18,10 @@ from hrl_comfort.config import ConfigError, StudioConfig
 pytest.importorskip("viser", reason="the extra [studio] is not installed")
 
 from hrl_comfort.humans.motions.live import HELD
+from hrl_comfort.streams import UdpStream
 from hrl_comfort.studio import panel as module
 from hrl_comfort.studio.panel import HIGHEST, LOWEST, NO_LEVEL, option_values, readout
-from hrl_comfort.studio.server import LiveStudio
+from hrl_comfort.studio.server import LiveStudio, made
 from hrl_comfort.studio.text import mark
 
 PAGE = Path(__file__).parents[2] / "hrl_comfort" / "studio" / "web" / "page.html"
@@ -147,6 +151,43 @@ def test_a_change_that_a_recording_holds_up_is_made_once_it_has_ended(make: Make
     studio.play.reset()
     assert studio.sessions[0].config.reward.contact == -77
     assert "At the next reset" not in " ".join(studio.tuning._said.lines)
+
+
+@pytest.mark.filterwarnings("ignore:comfort.source=udp. no good value has come yet")
+def test_cells_side_by_side_and_cells_made_anew_read_one_live_stream(make: Make) -> None:
+    free = UdpStream("127.0.0.1", 0, "test")
+    port = free.port
+    free.close()
+    stream = (f"comfort.stream.{each}" for each in (f"port={port}", "high=9", "smoothing_s=0", "stall_s=3600"))
+    studio = make("policy=random", "beside=expert", "comfort=conditioned", "comfort.source=udp", *stream)
+
+    def levels() -> list[float]:
+        return [float(session.step().result.state.level) for session in studio.sessions]
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.sendto(b"7", ("127.0.0.1", port))
+        assert levels() == [8, 8]
+        studio.tuning.draft.set("reward.contact", "-77")
+        studio.play.reset()
+        assert studio.sessions[0].config.reward.contact == -77 and levels() == [8, 8]
+        studio.tuning.draft.set("comfort.stream.low", "3")
+        studio.play.reset()
+        sender.sendto(b"9", ("127.0.0.1", port))
+        assert levels() == [10, 10]
+    studio.live.close()
+    UdpStream("127.0.0.1", port, "test").close()
+
+
+def test_cells_that_were_made_before_one_that_cannot_be_are_closed() -> None:
+    closed: list[str] = []
+
+    def sessions() -> Iterator[Any]:
+        yield SimpleNamespace(close=lambda: closed.append("first"))
+        raise ConfigError("the second cannot be")
+
+    with pytest.raises(ConfigError, match="the second cannot be"):
+        made(sessions())
+    assert closed == ["first"]
 
 
 def test_cells_side_by_side_have_their_policies_names(make: Make) -> None:
