@@ -21,6 +21,7 @@ from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.streams import UdpStream
 from hrl_comfort.studio import panel as module
 from hrl_comfort.studio.panel import HIGHEST, LOWEST, NO_LEVEL, option_values, readout
+from hrl_comfort.studio.person import motion_config
 from hrl_comfort.studio.server import LiveStudio, made
 from hrl_comfort.studio.text import mark
 
@@ -151,6 +152,24 @@ def test_a_change_that_a_recording_holds_up_is_made_once_it_has_ended(make: Make
     studio.play.reset()
     assert studio.sessions[0].config.reward.contact == -77
     assert "At the next reset" not in " ".join(studio.tuning._said.lines)
+
+
+def test_the_motion_that_was_chosen_for_the_person_outlasts_a_change_of_another_key(make: Make) -> None:
+    studio = make("policy=random")
+
+    def moves_after(key: str, text: str) -> str:
+        studio.tuning.draft.set(key, text)
+        studio.tuning._changed(None)
+        while not studio.loop._requests.empty():
+            studio.loop._requests.get()()
+        studio.play.reset()
+        assert studio.sessions[0].engine.episodes.human == studio.person.human
+        return studio.person.motion
+
+    studio.person.let_go(motion_config("patrol"))
+    assert moves_after("reward.contact", "-77") == "patrol" and studio.sessions[0].config.reward.contact == -77
+    assert moves_after("human", "worker") == "worker"
+    assert moves_after("reward.contact", "-88") == "worker"
 
 
 @pytest.mark.filterwarnings("ignore:comfort.source=udp. no good value has come yet")

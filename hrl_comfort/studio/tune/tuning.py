@@ -48,6 +48,7 @@ class Tuning:
         self, gui: Any, play: LivePlay, panel: Panel, rebuild: Callable[[dict[str, Any]], None], output: Path
     ) -> None:
         self._panel, self._person, self._rebuild, self._output = panel, play.person, rebuild, output
+        self._human = panel.session.asked.human
         self.draft = Draft("studio", overrides_of("studio", panel.session.asked))
         self.learner = Draft("train", {"agent": "agent=quick"})
         self.training = Training(self._output)
@@ -73,7 +74,8 @@ class Tuning:
         panel, person, config = self._panel, self._person, self.draft.config
         assert isinstance(config, StudioConfig)
         if error is None:
-            if config.human != person.human:
+            if config.human != self._human:  # else the person keeps a motion that was chosen for them
+                self._human = config.human
                 panel.ask(lambda: person.follow(config.human))
             level = config.comfort.level
             if "comfort.level" in self._due and level is not None:
