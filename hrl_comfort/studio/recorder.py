@@ -115,7 +115,7 @@ class Recorder:
         first = len(self._result.options)
         self._recorder.finish()
         self._recorder = None
-        row = replace(self._result.episodes[-1], split=SPLIT)
+        row = replace(self._result.episodes[-1], split=SPLIT, episode_seed=None)  # no seed of a split draws it
         if self._by_hand:
             row = replace(row, human=LIVE)
         if len(self._levels) > 1:
