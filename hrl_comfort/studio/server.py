@@ -112,8 +112,8 @@ class LiveStudio(Watcher):
         """See `play.Watcher`; the curves are drawn anew every CURVES_S, for viewers alone."""
         self.views[cell].follow_tool(step.tool)
         self.views[cell].show_zone(session.walk.position[0], session.reach_m)
-        if abs(session.seconds - self._drawn_s) >= CURVES_S and self.page.get_clients():
-            self._drawn_s = session.seconds
+        if self.curves.time_s - self._drawn_s >= CURVES_S and self.page.get_clients():
+            self._drawn_s = self.curves.time_s
             self.curves.draw()
 
 

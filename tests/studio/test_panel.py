@@ -172,6 +172,20 @@ def test_the_motion_that_was_chosen_for_the_person_outlasts_a_change_of_another_
     assert moves_after("reward.contact", "-88") == "worker"
 
 
+def test_curves_go_on_while_an_episode_goes_on_in_any_cell(make: Make) -> None:
+    studio = make("policy=random", "beside=expert")
+    rows = studio.curves._charts["reward"]._rows
+    for over in ([], [1], [0]):
+        studio.play.reset()
+        for cell in over:
+            studio.sessions[cell].over = True
+        points = len(rows)
+        for _ in range(3):
+            studio.play.advance()
+        assert len(rows) == points + 3, over
+    assert [row[0] for row in rows] == pytest.approx([0.1 * (1 + point) for point in range(9)])
+
+
 @pytest.mark.filterwarnings("ignore:comfort.source=udp. no good value has come yet")
 def test_cells_side_by_side_and_cells_made_anew_read_one_live_stream(make: Make) -> None:
     free = UdpStream("127.0.0.1", 0, "test")
