@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, closing, suppress
@@ -92,15 +93,16 @@ class LiveStudio(Watcher):
         self.panel.rejoin()
 
     def stop(self) -> None:
-        """Stop the loop, a recording, a training, the page and the cells."""
-        self.loop.stop()
-        with suppress(ConfigError):  # nothing was recorded yet
-            self.records.write()
-        self.tuning.stop()
-        self.page.stop()
-        for session in self.sessions:
-            session.close()
-        self.live.close()
+        """Stop the loop, a recording, a training, the page and the cells, each even if another fails."""
+        with ExitStack() as steps:  # the last first
+            steps.callback(self.live.close)
+            for session in self.sessions:
+                steps.callback(session.close)
+            steps.callback(self.page.stop)
+            steps.callback(self.tuning.stop)
+            steps.enter_context(suppress(ConfigError))  # nothing was recorded yet
+            steps.callback(self.records.write)
+            steps.callback(self.loop.stop)
 
     def began(self, cell: int, session: Session) -> None:
         """See `play.Watcher`."""
@@ -173,16 +175,18 @@ def on_plane(camera: np.ndarray, through: np.ndarray, height: float) -> np.ndarr
 
 
 def studio(config: StudioConfig) -> None:
-    """Run the studio until it is interrupted, or write its page."""
+    """Run the studio until it is interrupted or terminated, or write its page."""
     if config.policy is None and not config.policies and config.replay is None:
         raise ConfigError("policy=null: give policy=, policies.* or replay=")
     if config.export is not None:
         export_page(config)
         return
-    running = LiveStudio(config) if config.replay is None else ReplayStudio(config)
-    print(running.page.announcement, flush=True)
-    running.start()
-    try:
-        threading.Event().wait()
-    finally:
-        running.stop()
+    running, ended = LiveStudio(config) if config.replay is None else ReplayStudio(config), threading.Event()
+    with ExitStack() as after:
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:  # as SIGHUP is under nohup
+                after.callback(signal.signal, number, signal.signal(number, lambda *_: ended.set()))
+        print(running.page.announcement, flush=True)
+        running.start()
+        after.callback(running.stop)
+        ended.wait()

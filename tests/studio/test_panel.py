@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 import socket
 from collections.abc import Callable, Iterator
 from html import unescape
@@ -20,6 +21,7 @@ pytest.importorskip("viser", reason="the extra [studio] is not installed")
 from hrl_comfort.humans.motions.live import HELD
 from hrl_comfort.streams import UdpStream
 from hrl_comfort.studio import panel as module
+from hrl_comfort.studio import server
 from hrl_comfort.studio.panel import HIGHEST, LOWEST, NO_LEVEL, option_values, readout
 from hrl_comfort.studio.person import motion_config
 from hrl_comfort.studio.server import LiveStudio, made
@@ -209,6 +211,42 @@ def test_cells_side_by_side_and_cells_made_anew_read_one_live_stream(make: Make)
         assert levels() == [10, 10]
     studio.live.close()
     UdpStream("127.0.0.1", port, "test").close()
+
+
+def test_a_studio_that_cannot_write_its_recording_stops_its_training_and_its_cells(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    studio, stopped = make("policy=random"), list[str]()
+
+    def full() -> None:
+        raise OSError("no space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(studio.records, "write", full)
+        patch.setattr(studio.loop, "stop", lambda: stopped.append("loop"))
+        patch.setattr(studio.page, "stop", lambda: stopped.append("page"))
+        patch.setattr(studio.tuning, "stop", lambda: stopped.append("training"))
+        patch.setattr(studio.sessions[0], "close", lambda: stopped.append("cell"))
+        with pytest.raises(OSError, match="no space"):
+            studio.stop()
+    assert stopped == ["loop", "training", "page", "cell"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_studio_that_is_terminated_ends_as_one_that_is_closed(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[str] = []
+    running = SimpleNamespace(
+        page=SimpleNamespace(announcement="studio"),
+        start=lambda: signal.raise_signal(number),
+        stop=lambda: seen.append("stopped"),
+    )
+    monkeypatch.setattr(server, "LiveStudio", lambda config: running)
+    config, before = compose("studio", ["policy=random"]), signal.getsignal(number)
+    assert isinstance(config, StudioConfig)
+    server.studio(config)
+    assert seen == ["stopped"] and signal.getsignal(number) == before
 
 
 def test_cells_that_were_made_before_one_that_cannot_be_are_closed() -> None:
