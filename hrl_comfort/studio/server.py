@@ -52,7 +52,7 @@ class LiveStudio(Watcher):
         self.loop = Loop(self.play, config.frames_per_s, config.speed)
         set_camera(self.page, len(self.sessions))
         self.panel = Panel(self.page, self.play, self.loop)
-        self.records = RecordControl(self.page, self.play, self.loop, self.panel, Path(config.output))
+        self.records = RecordControl(self.page, self.play, self.panel, Path(config.output))
         self.curves = Curves(self.page, self.sessions, [str(index + 1) for index in range(len(self.sessions))])
         self.tuning = Tuning(self.page.gui, self.play, self.panel, self.rebuild, Path(config.output))
         self.play.watchers += [self.panel, self.curves, self.records, self]
