@@ -69,7 +69,7 @@ class Live:
     """Levels of a live stream, read by wall clock; all rows have the same."""
 
     def __init__(self, config: ComfortConfig, stream: Stream) -> None:
-        self.stream, self._signal = stream, Signal(config, config.source)
+        self.config, self.stream, self._signal = config, stream, Signal(config, config.source)
 
     def __call__(self, time_s: Floats, draws: Floats) -> Floats:
         """See `Levels`."""
@@ -81,19 +81,54 @@ class Live:
         return self._signal.stalled
 
 
-class Source:
-    """The levels of N rows by a source that knows time alone."""
+class LiveLevels:
+    """Live levels of several sources, which read the same streams; each stays open until all are closed."""
 
-    def __init__(self, config: ComfortConfig, rows: int) -> None:
+    def __init__(self) -> None:
+        self._open: dict[tuple[str, str, int, str], Live] = {}
+
+    def of(self, config: ComfortConfig) -> Live | None:
+        """Return the levels of `config`, None if they are not live.
+
+        Raises:
+          ConfigError: the stream cannot be opened.
+        """
+        if config.source not in LIVE:
+            return None
+        stream = config.stream
+        key = config.source, stream.host, stream.port, stream.name
+        if key not in self._open:
+            self._open[key] = Live(config, LIVE[config.source](config))
+        elif self._open[key].config != config:
+            self._open[key] = Live(config, self._open[key].stream)
+        return self._open[key]
+
+    def close(self) -> None:
+        """Free what the streams listen on."""
+        for live in self._open.values():
+            live.stream.close()
+
+
+class Source:
+    """The levels of N rows by a source that knows time alone.
+
+    Args:
+      config: of the source.
+      rows: number N of rows.
+      levels: those of `config`, where they are opened and closed elsewhere.
+    """
+
+    def __init__(self, config: ComfortConfig, rows: int, levels: Levels | None = None) -> None:
         self.config = config
         self.draws: Floats = np.zeros((rows, DRAWS))
         self.person: NDArray[np.int64] = np.zeros(rows, dtype=np.int64)
         self.level: Floats = np.full(rows, np.nan)
-        self.levels = SOURCES[config.source](config)
+        self.levels = SOURCES[config.source](config) if levels is None else levels
+        self._given = levels is not None
 
     def close(self) -> None:
-        """Free what a live stream listens on."""
-        if isinstance(self.levels, Live):
+        """Free what a live stream of its own listens on."""
+        if isinstance(self.levels, Live) and not self._given:
             self.levels.stream.close()
 
     def begin(self, rows: NDArray[np.int64]) -> None:
@@ -177,6 +212,7 @@ RATES: dict[str, Callable[[Floats, SourceInput, ComfortConfig], Floats]] = {
     "frightened": lambda level, now, config: level_rate(level, now.arm_distance_m, now.speed_m_s, config),
 }
 """Changes (N,) of levels (N,), 1/s, of people who react to the robot."""
+LIVE: dict[str, Callable[[ComfortConfig], Stream]] = {"udp": udp, "lsl": Lsl}
 _SOURCES: dict[str, Callable[[ComfortConfig], Levels]] = {
     "none": lambda config: constant(None),
     "fixed": lambda config: constant(config.level),
@@ -184,14 +220,19 @@ _SOURCES: dict[str, Callable[[ComfortConfig], Levels]] = {
     "changing": changing,
     "schedule": lambda config: recorded(Recording(np.array(config.schedule_s), np.array(config.schedule_levels))),
     "file": lambda config: recorded(read_recording(config)),
-    "udp": lambda config: Live(config, udp(config)),
-    "lsl": lambda config: Live(config, Lsl(config)),
+    **dict.fromkeys(LIVE, lambda config: Live(config, LIVE[config.source](config))),
     **dict.fromkeys((*RATES, "fitted"), lambda config: constant(config.levels)),
 }
 SOURCES = implemented(names.SOURCES, _SOURCES)
 
 
-def make_source(config: ComfortConfig, rows: int) -> Source:
-    """Return the source `config.source` for N rows; raise ConfigError at a bad recording or stream."""
+def make_source(config: ComfortConfig, rows: int, live: Live | None = None) -> Source:
+    """Return the source `config.source` for N rows, of `live` levels if they are given.
+
+    Raises:
+      ConfigError: a recording is bad, or a stream cannot be opened.
+    """
+    if live is not None:
+        return Source(config, rows, live)
     kinds = {"fitted": Fitted, **dict.fromkeys(RATES, Simulated)}
     return kinds.get(config.source, Source)(config, rows)

@@ -16,7 +16,7 @@ class Episode:
     policy: str
     train_seed: int | None
     split: str
-    episode_seed: int
+    episode_seed: int | None
     episode: int
     object: str
     spawn_id: int | None

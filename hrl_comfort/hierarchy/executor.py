@@ -152,6 +152,12 @@ class OptionExecutor:
         assert state is not None
         return self._interrupted & (chosen == self.option) & (state.steps > 0)
 
+    def interrupt(self) -> None:
+        """Interrupt the options in force that have run: chosen again they go on, else they end."""
+        state = self._episodes.state
+        assert state is not None
+        self._interrupted = self._interrupted | (state.steps > self.started)
+
     def left_runs(self, rows: Tensor, chosen: Tensor) -> list[OptionRun]:
         """Return the runs that end as the top, in `rows` (N,) bool, has `chosen` (N,) others where it interrupted."""
         state = self._episodes.state

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from hrl_comfort import humans
 from hrl_comfort.comfort.adapt import with_comfort
-from hrl_comfort.comfort.sources import Source, make_source
+from hrl_comfort.comfort.sources import Live, Source, make_source
 from hrl_comfort.config import ConfigError, EnvConfig, HumanConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.safety.drive import Drive
@@ -45,7 +45,7 @@ class Episodes:
     With an `evaluation` set, row r runs the set's entry r (modulo its length). `measure_arm` fills
     `State.arm_distance` even if no reward needs it; `disturbance` is one of `config.DISTURBANCES`. `steps` are the
     control steps of a decision, `task.action_repeat` by default; `takes_back` as of `Drive`. The rows may be some of
-    more: their numbers begin at `first_row`.
+    more: their numbers begin at `first_row`. `live` levels are opened and closed elsewhere.
     """
 
     def __init__(
@@ -60,6 +60,7 @@ class Episodes:
         steps: int | None = None,
         takes_back: bool = True,
         first_row: int = 0,
+        live: Live | None = None,
     ) -> None:
         self.scene, self.config, self.rows, self._first_row = scene, config, rows, first_row
         task = config.task
@@ -77,7 +78,7 @@ class Episodes:
         )  # fmt: skip
         pushing = self.plan.drive is None and not self.plan.people_stop
         self.referee = Referee(
-            scene, self.separation, config, self.subtask, make_source(config.comfort, rows), self._disturbance,
+            scene, self.separation, config, self.subtask, make_source(config.comfort, rows, live), self._disturbance,
             measure_arm, pushing,
         )  # fmt: skip
         self.episode = np.full(rows, -1, dtype=np.int64)

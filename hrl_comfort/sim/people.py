@@ -157,12 +157,18 @@ class People:
         self._motions = [humans.Motions(each) for each in self.everyone]
 
     def go_on_as(self, human: HumanConfig) -> None:
-        """Let the first go on from where they are as `human` says; who was nobody comes in where they would begin."""
+        """Let the first go on from where they are as `human` says; who was nobody comes in where they would begin.
+
+        Another motion begins with its own memory and arms; a person moved by hand lowers the arms they have.
+        """
         first, (walk, *others) = self.everyone[0], self.now.walks
         if first.motion == "none":
             walk = humans.begin(human, walk.spawn)
         elif human.motion != "none":
             walk = replace(walk, spawn=walk.position.copy())
+            if (human.motion, human.mixture) != (first.motion, first.mixture):
+                begun, by_hand = humans.begin(human, walk.spawn, walk.traits), human.motion == "live" and not human.file
+                walk = replace(walk, memory=begun.memory, limbs=walk.limbs if by_hand else begun.limbs)
         self.everyone[0], self.now = human.everyone[0], self.crowd([walk, *others])
         self._motions[0] = humans.Motions(self.everyone[0])
 

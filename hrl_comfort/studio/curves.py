@@ -19,7 +19,7 @@ HEIGHT_PX = 150
 
 
 class Chart:
-    """One chart of some series over the time of the session, s."""
+    """One chart of some series over simulated time, s."""
 
     def __init__(self, server: viser.ViserServer, title: str, names: tuple[str, ...]) -> None:
         self._rows: deque[tuple[float, ...]] = deque()
@@ -39,8 +39,6 @@ class Chart:
 
     def add(self, time_s: float, values: tuple[float, ...]) -> None:
         """Append a point to every series; those older than SHOWN_S are dropped."""
-        if self._rows and time_s < self._rows[-1][0]:
-            self._rows.clear()
         self._rows.append((time_s, *values))
         while self._rows[0][0] < time_s - SHOWN_S:
             self._rows.popleft()
@@ -60,6 +58,8 @@ class Curves(Watcher):
 
     def __init__(self, server: viser.ViserServer, sessions: list[Session], labels: list[str]) -> None:
         self._latest: list[dict[str, NDArray[np.float64]]] = []
+        self.time_s = 0.0
+        """Simulated time of the latest point, s; the sessions' own times part where their episodes differ."""
         self._server, self._labels = server, labels
         self._folder = server.gui.add_folder("Curves")
         with self._folder:
@@ -73,7 +73,7 @@ class Curves(Watcher):
 
     def rejoin(self, sessions: list[Session]) -> None:
         """Follow sessions that may have other reward terms."""
-        self._latest = [{} for _ in sessions]
+        self._sessions, self._latest = sessions, [{} for _ in sessions]
         rewards = tuple(sessions[0].engine.episodes.reward_names)
         if rewards != self._rewards:
             if "reward" in self._charts:
@@ -99,12 +99,14 @@ class Curves(Watcher):
             "level": np.array([float(result.level)]),
             "reward": result.reward_terms[0].numpy(),
         }
-        if cell == len(self._latest) - 1 and all(self._latest):
+        going = [index for index, each in enumerate(self._sessions) if index == cell or not each.over]
+        if cell == going[-1] and all(self._latest):  # those before it have stepped
+            self.time_s += step.clip.duration_s
             for name, chart in self._charts.items():
                 values = np.concatenate([each[name] for each in self._latest])
                 if name == "speed":
                     values = np.append(values, session.walk.speed_m_s)
-                chart.add(session.seconds, tuple(float(value) for value in values))
+                chart.add(self.time_s, tuple(float(value) for value in values))
 
     def draw(self) -> None:
         """Send the charts to the page."""

@@ -49,7 +49,6 @@ class Loop:
         """Wall-clock time by which the simulation has fallen behind since the start."""
         self._requests: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="studio loop", daemon=True)
-        self._steps = 0
         self._began, self._lasts = 0.0, 0.0
         self._window_began, self._window_lost_s = 0.0, 0.0
 

@@ -71,7 +71,9 @@ class Person:
         return min(fastest_m_s(session.config.safety) for session in self._sessions)
 
     def rejoin(self) -> None:
-        """Hold the person of sessions that are new, where they are held in the others."""
+        """Hold the person of sessions that are new, or let them move, as in those before."""
+        if not (self.taken or self._leaving):
+            self._set_motion(self.human)
         self.speed_m_s = self._live.speed_m_s
 
     def _hold(self) -> None:

@@ -23,7 +23,6 @@ from hrl_comfort.humans.recordings import HEADER
 from hrl_comfort.plots.tape import Tape
 from hrl_comfort.plots.video import frames, write_video
 from hrl_comfort.scene.camera import PicturesUnavailableError
-from hrl_comfort.studio.loop import Loop
 from hrl_comfort.studio.panel import Panel
 from hrl_comfort.studio.play import LivePlay, Watcher
 from hrl_comfort.studio.session import ROW, Session, Step
@@ -115,7 +114,7 @@ class Recorder:
         first = len(self._result.options)
         self._recorder.finish()
         self._recorder = None
-        row = replace(self._result.episodes[-1], split=SPLIT)
+        row = replace(self._result.episodes[-1], split=SPLIT, episode_seed=None)  # no seed of a split draws it
         if self._by_hand:
             row = replace(row, human=LIVE)
         if len(self._levels) > 1:
@@ -131,12 +130,11 @@ class RecordControl(Watcher):
     Args:
       server: of the page.
       play: whose sessions are recorded.
-      loop: of the play.
       panel: shows the mark of a recording.
       output: folder of the recordings.
     """
 
-    def __init__(self, server: viser.ViserServer, play: LivePlay, loop: Loop, panel: Panel, output: Path) -> None:
+    def __init__(self, server: viser.ViserServer, play: LivePlay, panel: Panel, output: Path) -> None:
         self._play, self._panel, self._output = play, panel, output
         self.recorders: list[Recorder] = []
         """One a cell while it records, else none."""

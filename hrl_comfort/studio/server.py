@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import signal
 import threading
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hrl_comfort.comfort.sources import LiveLevels
 from hrl_comfort.composition.policies import with_policy
 from hrl_comfort.config import ConfigError, StudioConfig
 from hrl_comfort.studio.curves import Curves
@@ -37,7 +40,9 @@ class LiveStudio(Watcher):
     """
 
     def __init__(self, config: StudioConfig) -> None:
-        self.sessions = [Session(config), *beside(config)]
+        self.live = LiveLevels()
+        """Levels of all cells that follow a live stream."""
+        self.sessions = made(cells(config, self.live))
         self.page = Page(config.host, config.port, ", ".join(map(policy_label, self.sessions)))
         self.views = [self._view(index) for index in range(len(self.sessions))]
         by_hand = config.human.motion == "live" and config.human.file is None
@@ -47,7 +52,7 @@ class LiveStudio(Watcher):
         self.loop = Loop(self.play, config.frames_per_s, config.speed)
         set_camera(self.page, len(self.sessions))
         self.panel = Panel(self.page, self.play, self.loop)
-        self.records = RecordControl(self.page, self.play, self.loop, self.panel, Path(config.output))
+        self.records = RecordControl(self.page, self.play, self.panel, Path(config.output))
         self.curves = Curves(self.page, self.sessions, [str(index + 1) for index in range(len(self.sessions))])
         self.tuning = Tuning(self.page.gui, self.play, self.panel, self.rebuild, Path(config.output))
         self.play.watchers += [self.panel, self.curves, self.records, self]
@@ -73,12 +78,10 @@ class LiveStudio(Watcher):
         """Make the cells anew with other sections of the configuration; for requests.
 
         Raises:
-          ConfigError: a policy does not fit, or a recording is under way; the cells stay as they are.
+          ConfigError: a policy does not fit; the cells stay as they are.
         """
-        if self.records.recorders:
-            raise ConfigError("the cell is being recorded; stop the recording, then reset")
-        made = [Session(replace(session.config, **sections)) for session in self.sessions]
-        for index, new in enumerate(made):
+        configs = [replace(session.config, **sections) for session in self.sessions]
+        for index, new in enumerate(made(Session(config, self.live.of(config.comfort)) for config in configs)):
             old, self.sessions[index] = self.sessions[index], new
             if old.by_hand and new.by_hand and old.config.comfort.level == new.config.comfort.level:
                 new.set_level(old.slider.value)
@@ -90,14 +93,16 @@ class LiveStudio(Watcher):
         self.panel.rejoin()
 
     def stop(self) -> None:
-        """Stop the loop, a recording, a training, the page and the cells."""
-        self.loop.stop()
-        with suppress(ConfigError):  # nothing was recorded yet
-            self.records.write()
-        self.tuning.stop()
-        self.page.stop()
-        for session in self.sessions:
-            session.close()
+        """Stop the loop, a recording, a training, the page and the cells, each even if another fails."""
+        with ExitStack() as steps:  # the last first
+            steps.callback(self.live.close)
+            for session in self.sessions:
+                steps.callback(session.close)
+            steps.callback(self.page.stop)
+            steps.callback(self.tuning.stop)
+            steps.enter_context(suppress(ConfigError))  # nothing was recorded yet
+            steps.callback(self.records.write)
+            steps.callback(self.loop.stop)
 
     def began(self, cell: int, session: Session) -> None:
         """See `play.Watcher`."""
@@ -109,23 +114,34 @@ class LiveStudio(Watcher):
         """See `play.Watcher`; the curves are drawn anew every CURVES_S, for viewers alone."""
         self.views[cell].follow_tool(step.tool)
         self.views[cell].show_zone(session.walk.position[0], session.reach_m)
-        if abs(session.seconds - self._drawn_s) >= CURVES_S and self.page.get_clients():
-            self._drawn_s = session.seconds
+        if self.curves.time_s - self._drawn_s >= CURVES_S and self.page.get_clients():
+            self._drawn_s = self.curves.time_s
             self.curves.draw()
 
 
-def beside(config: StudioConfig) -> list[Session]:
-    """Return the second cell, if one is asked for.
+def cells(config: StudioConfig, live: LiveLevels) -> Iterator[Session]:
+    """Make the first cell and, if it is asked for, the second.
 
     Raises:
-      ConfigError: its policy does not fit.
+      ConfigError: a policy does not fit, or a live stream cannot be opened.
     """
+    levels = live.of(config.comfort)
+    yield Session(config, levels)
     if config.beside is None:
-        return []
+        return
     try:
-        return [Session(with_policy(config, config.beside))]
+        second = Session(with_policy(config, config.beside), levels)
     except ConfigError as error:
         raise ConfigError(f"beside={config.beside!r} does not fit the cell: {error}") from None
+    yield second
+
+
+def made(sessions: Iterable[Session]) -> list[Session]:
+    """Return `sessions` that are made one by one; if one cannot be made, those before are closed."""
+    with ExitStack() as undo:
+        found = [undo.enter_context(closing(session)) for session in sessions]
+        undo.pop_all()
+    return found
 
 
 class Drag:
@@ -159,16 +175,18 @@ def on_plane(camera: np.ndarray, through: np.ndarray, height: float) -> np.ndarr
 
 
 def studio(config: StudioConfig) -> None:
-    """Run the studio until it is interrupted, or write its page."""
+    """Run the studio until it is interrupted or terminated, or write its page."""
     if config.policy is None and not config.policies and config.replay is None:
         raise ConfigError("policy=null: give policy=, policies.* or replay=")
     if config.export is not None:
         export_page(config)
         return
-    running = LiveStudio(config) if config.replay is None else ReplayStudio(config)
-    print(running.page.announcement, flush=True)
-    running.start()
-    try:
-        threading.Event().wait()
-    finally:
-        running.stop()
+    running, ended = LiveStudio(config) if config.replay is None else ReplayStudio(config), threading.Event()
+    with ExitStack() as after:
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:  # as SIGHUP is under nohup
+                after.callback(signal.signal, number, signal.signal(number, lambda *_: ended.set()))
+        print(running.page.announcement, flush=True)
+        running.start()
+        after.callback(running.stop)
+        ended.wait()

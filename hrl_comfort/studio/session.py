@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from hrl_comfort import humans
-from hrl_comfort.comfort.sources import Floats, Source
+from hrl_comfort.comfort.sources import Floats, Live, Source
 from hrl_comfort.comfort.terms import human_distance, present
 from hrl_comfort.config import CONTROL_STEP_S, ComfortConfig, ConfigError, HumanConfig, StudioConfig
 from hrl_comfort.files.run_config import environment
@@ -52,7 +52,7 @@ class Step:
     """State in which the decision was made."""
     result: StepResult
     runs: list[OptionRun]
-    """The option run that ended with it, if one did."""
+    """Option runs that ended with it, or by hand before it."""
     over: bool
     """The episode ended with it."""
 
@@ -88,18 +88,19 @@ class Session:
 
     Args:
       config: of the cell, the person, the comfort level and the policies.
+      live: levels shared with other sessions; who opened them closes them.
 
     Raises:
       ConfigError: a policy is missing or does not fit.
     """
 
-    def __init__(self, config: StudioConfig) -> None:
+    def __init__(self, config: StudioConfig, live: Live | None = None) -> None:
         torch.set_num_threads(1)
         self.asked = config
         """Configuration as given; `config` is that in force, with a level."""
         self.config = with_level(config)
         env = environment(self.config)
-        self.engine = Engine(env, 1, config.first_seed, measure_arm=True, disturbance=config.disturbance)
+        self.engine = Engine(env, 1, config.first_seed, measure_arm=True, disturbance=config.disturbance, live=live)
         self.slider = Slider(env.comfort, 1)
         self._configured = self.engine.episodes.source
         if env.comfort.source == "fixed":
@@ -113,6 +114,7 @@ class Session:
         self.values: dict[str, float] = {}
         """Values by the top of the options that could start when the latest did; empty where it does not say."""
         self.over = False
+        self._left: list[OptionRun] = []
         self.play(self.config)
 
     @property
@@ -196,7 +198,7 @@ class Session:
             kept = self._beside_arm(kept)
             episodes.stand(replace(kept, spawn=kept.position.copy(), step=np.zeros_like(kept.step)))
         self.executor = self.executor.anew()
-        self.over = False
+        self.over, self._left = False, []
         self._top.begin(ROW)
         self._begin()
 
@@ -222,7 +224,9 @@ class Session:
         before = self.state
         result = self.engine.step(self.action.numpy())
         options = self.executor.ended(result)
-        runs = [self.executor.run_of(0, options, int(result.state.steps))] if bool(options.rows) else []
+        runs, self._left = self._left, []
+        if bool(options.rows):
+            runs.append(self.executor.run_of(0, options, int(result.state.steps)))
         self.over = bool(result.done | options.given_up)
         self.decisions += 1
         self.successes += int(self.over and bool(result.success[0]))
@@ -243,7 +247,7 @@ class Session:
         return still_clip(self.engine)
 
     def force(self, name: str) -> None:
-        """Start the option `name` now.
+        """Start the option `name` now, or let it go on.
 
         Raises:
           ConfigError: it is not an option, or cannot start in this state.
@@ -254,7 +258,8 @@ class Session:
         if self.over or not able[self.options.index(name)]:
             possible = [] if self.over else [each for each, can in zip(self.options, able.tolist(), strict=True) if can]
             raise ConfigError(f"option={name!r} cannot start now; {', '.join(possible) or 'none'} can")
-        self._begin(torch.tensor([self.options.index(name)]))
+        self.executor.interrupt()
+        self._left += self._begin(torch.tensor([self.options.index(name)]))
 
     def set_level(self, level: float) -> None:
         """Set the level of the next decision, 1 to `comfort.levels`; a level from a stream is given up."""
@@ -279,7 +284,7 @@ class Session:
         self.engine.episodes.go_on_as(human)
 
     def close(self) -> None:
-        """Stop the engine's threads, and listening to live levels."""
+        """Stop the engine's threads, and listening to live levels of its own."""
         self.engine.close()
         self._configured.close()
 

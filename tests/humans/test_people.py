@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -274,6 +275,33 @@ def test_velocity_is_that_of_each_persons_axis() -> None:
     places = torch.cat([before[:, None], found.humans_pos], dim=1)
     torch.testing.assert_close(found.humans_vel, places.diff(dim=1) / 0.02)
     assert found.humans_vel.norm(dim=-1).max() > 0.05
+
+
+@pytest.mark.parametrize(("first", "then"), [("worker", "reactive"), ("fetcher", "patrol"), ("worker", "still")])
+def test_who_goes_on_as_another_motion_has_the_memory_and_arms_of_its_beginning(first: str, then: str) -> None:
+    config, other = configured("task=reach", f"human={first}"), configured(f"human={then}").human
+    engine = Engine(config, 1, 0)
+    engine.reset()
+    people = engine.episodes.people
+    memory = np.array([[3.76, 2.0, 1.0]])  # as of a cycle of reaching
+    reaching = replace(people.now.walks[0], memory=memory, limbs=np.tile([0.0, 0.6, -0.8], (1, 6, 1)))
+    people.stand(reaching)
+    people.go_on_as(replace(config.human, stay_s=9.0))
+    assert np.array_equal(people.now.walks[0].memory, memory), "the same motion goes on"
+    people.go_on_as(other)
+    walk = people.now.walks[0]
+    np.testing.assert_array_equal(walk.memory, 0.0)
+    np.testing.assert_array_equal(walk.limbs, humans.begin(other, walk.position).limbs)
+    np.testing.assert_array_equal(walk.position, reaching.position)
+
+
+def test_who_is_moved_by_hand_lowers_the_arms_that_they_have() -> None:
+    engine = Engine(configured("task=reach", "human=worker"), 1, 0)
+    engine.reset()
+    people, limbs = engine.episodes.people, np.tile([0.0, 0.6, -0.8], (1, 6, 1))
+    people.stand(replace(people.now.walks[0], limbs=limbs))
+    people.go_on_as(configured("human=live").human)
+    assert np.array_equal(people.now.walks[0].limbs, limbs)
 
 
 # ---- what counts people --------------------------------------------------------------------------------

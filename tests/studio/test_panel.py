@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import re
+import signal
+import socket
 from collections.abc import Callable, Iterator
 from html import unescape
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -15,9 +19,12 @@ from hrl_comfort.config import ConfigError, StudioConfig
 pytest.importorskip("viser", reason="the extra [studio] is not installed")
 
 from hrl_comfort.humans.motions.live import HELD
+from hrl_comfort.streams import UdpStream
 from hrl_comfort.studio import panel as module
+from hrl_comfort.studio import server
 from hrl_comfort.studio.panel import HIGHEST, LOWEST, NO_LEVEL, option_values, readout
-from hrl_comfort.studio.server import LiveStudio
+from hrl_comfort.studio.person import motion_config
+from hrl_comfort.studio.server import LiveStudio, made
 from hrl_comfort.studio.text import mark
 
 PAGE = Path(__file__).parents[2] / "hrl_comfort" / "studio" / "web" / "page.html"
@@ -129,6 +136,129 @@ def test_a_recording_is_marked_until_it_ends(make: Make) -> None:
     studio.records.write()
     studio.panel.refresh(force=True)
     assert mark("recording") not in studio.panel._readout.lines
+
+
+def test_a_change_that_a_recording_holds_up_is_made_once_it_has_ended(make: Make) -> None:
+    studio = make("policy=random")
+    studio.records.toggle()
+    studio.play.advance()
+    studio.tuning.draft.set("reward.contact", "-77")
+    studio.tuning._changed(None)
+    for _ in range(2):
+        studio.play.reset()
+        said = unescape(" ".join(studio.tuning._said.lines))
+        assert studio.sessions[0].config.reward.contact != -77 and "⚠" not in said
+        assert "At the next reset after the recording" in said
+    studio.play.advance()
+    studio.records.write()
+    studio.play.reset()
+    assert studio.sessions[0].config.reward.contact == -77
+    assert "At the next reset" not in " ".join(studio.tuning._said.lines)
+
+
+def test_the_motion_that_was_chosen_for_the_person_outlasts_a_change_of_another_key(make: Make) -> None:
+    studio = make("policy=random")
+
+    def moves_after(key: str, text: str) -> str:
+        studio.tuning.draft.set(key, text)
+        studio.tuning._changed(None)
+        while not studio.loop._requests.empty():
+            studio.loop._requests.get()()
+        studio.play.reset()
+        assert studio.sessions[0].engine.episodes.human == studio.person.human
+        return studio.person.motion
+
+    studio.person.let_go(motion_config("patrol"))
+    assert moves_after("reward.contact", "-77") == "patrol" and studio.sessions[0].config.reward.contact == -77
+    assert moves_after("human", "worker") == "worker"
+    assert moves_after("reward.contact", "-88") == "worker"
+
+
+def test_curves_go_on_while_an_episode_goes_on_in_any_cell(make: Make) -> None:
+    studio = make("policy=random", "beside=expert")
+    rows = studio.curves._charts["reward"]._rows
+    for over in ([], [1], [0]):
+        studio.play.reset()
+        for cell in over:
+            studio.sessions[cell].over = True
+        points = len(rows)
+        for _ in range(3):
+            studio.play.advance()
+        assert len(rows) == points + 3, over
+    assert [row[0] for row in rows] == pytest.approx([0.1 * (1 + point) for point in range(9)])
+
+
+@pytest.mark.filterwarnings("ignore:comfort.source=udp. no good value has come yet")
+def test_cells_side_by_side_and_cells_made_anew_read_one_live_stream(make: Make) -> None:
+    free = UdpStream("127.0.0.1", 0, "test")
+    port = free.port
+    free.close()
+    stream = (f"comfort.stream.{each}" for each in (f"port={port}", "high=9", "smoothing_s=0", "stall_s=3600"))
+    studio = make("policy=random", "beside=expert", "comfort=conditioned", "comfort.source=udp", *stream)
+
+    def levels() -> list[float]:
+        return [float(session.step().result.state.level) for session in studio.sessions]
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.sendto(b"7", ("127.0.0.1", port))
+        assert levels() == [8, 8]
+        studio.tuning.draft.set("reward.contact", "-77")
+        studio.play.reset()
+        assert studio.sessions[0].config.reward.contact == -77 and levels() == [8, 8]
+        studio.tuning.draft.set("comfort.stream.low", "3")
+        studio.play.reset()
+        sender.sendto(b"9", ("127.0.0.1", port))
+        assert levels() == [10, 10]
+    studio.live.close()
+    UdpStream("127.0.0.1", port, "test").close()
+
+
+def test_a_studio_that_cannot_write_its_recording_stops_its_training_and_its_cells(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    studio, stopped = make("policy=random"), list[str]()
+
+    def full() -> None:
+        raise OSError("no space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(studio.records, "write", full)
+        patch.setattr(studio.loop, "stop", lambda: stopped.append("loop"))
+        patch.setattr(studio.page, "stop", lambda: stopped.append("page"))
+        patch.setattr(studio.tuning, "stop", lambda: stopped.append("training"))
+        patch.setattr(studio.sessions[0], "close", lambda: stopped.append("cell"))
+        with pytest.raises(OSError, match="no space"):
+            studio.stop()
+    assert stopped == ["loop", "training", "page", "cell"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_studio_that_is_terminated_ends_as_one_that_is_closed(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[str] = []
+    running = SimpleNamespace(
+        page=SimpleNamespace(announcement="studio"),
+        start=lambda: signal.raise_signal(number),
+        stop=lambda: seen.append("stopped"),
+    )
+    monkeypatch.setattr(server, "LiveStudio", lambda config: running)
+    config, before = compose("studio", ["policy=random"]), signal.getsignal(number)
+    assert isinstance(config, StudioConfig)
+    server.studio(config)
+    assert seen == ["stopped"] and signal.getsignal(number) == before
+
+
+def test_cells_that_were_made_before_one_that_cannot_be_are_closed() -> None:
+    closed: list[str] = []
+
+    def sessions() -> Iterator[Any]:
+        yield SimpleNamespace(close=lambda: closed.append("first"))
+        raise ConfigError("the second cannot be")
+
+    with pytest.raises(ConfigError, match="the second cannot be"):
+        made(sessions())
+    assert closed == ["first"]
 
 
 def test_cells_side_by_side_have_their_policies_names(make: Make) -> None:

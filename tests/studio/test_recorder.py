@@ -21,6 +21,7 @@ from hrl_comfort.studio.recorder import Recorder
 from hrl_comfort.studio.server import LiveStudio
 from hrl_comfort.studio.session import Session
 from tests.studio.browser import until
+from tests.studio.test_session import sorting_config
 
 
 @pytest.fixture(scope="module")
@@ -54,10 +55,27 @@ def test_a_recording_has_the_rows_of_an_evaluation(recorded: Path) -> None:
         False,
         True,
     ]
+    assert episodes["episode_seed"].isna().all()
     assert episodes["steps"].tolist()[1] == 20 and episodes["policy_steps"].tolist()[1] == 4
     paths = pd.read_csv(recorded / "paths.csv")
     assert (paths.groupby("episode").size() == episodes.set_index("episode")["steps"] + 1).all()
     assert set(paths[paths["episode"] == 1]["level"]) == {3, 5, 8} - ({5} if paths.iloc[-1]["level"] == 5 else set())
+
+
+def test_an_option_that_is_left_for_a_forced_one_is_among_the_recorded_runs(tmp_path: Path) -> None:
+    session = Session(sorting_config())
+    recorder, first = Recorder(session, tmp_path), session.option
+    session.force("wait")  # the first has not run yet
+    recorder.add(session.step())
+    session.force("wait")  # it goes on
+    recorder.add(session.step())
+    session.force(first)
+    recorder.add(session.step())
+    options = read_run(recorder.stop()).options
+    session.close()
+    assert options is not None
+    found = options[["option", "start_step", "end_step", "cause"]]
+    assert found.to_numpy().tolist() == [["wait", 0, 10, "interrupted"]]
 
 
 def test_a_recorded_person_is_a_motion_file(recorded: Path) -> None:

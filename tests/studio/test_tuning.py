@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from html import unescape
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,22 @@ def test_a_draft_refuses_a_value_and_stays_and_a_choice_drops_changes_of_its_sec
     draft.set("human.keep_out_m", "0.5")
     draft.set("human", "patrol")
     assert draft.changed == {"human": "human=patrol"} and draft.value("human.motion") == "patrol"
+
+
+def test_of_two_quick_edits_of_different_keys_both_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    draft = Draft("studio", {"task": "task=reach"})
+    other = Thread(target=draft.set, args=("reward.contact", "-77"))
+
+    def slow(root: str, lines: Iterable[str]) -> str:
+        if not other.ident:  # the other edit comes while the first is composed
+            other.start()
+            other.join(timeout=0.1)
+        return " ".join(lines)
+
+    monkeypatch.setattr("hrl_comfort.studio.tune.draft.compose", slow)
+    draft.set("human", "patrol")
+    other.join()
+    assert draft.config == "task=reach human=patrol reward.contact=-77" == " ".join(draft.lines.values())
 
 
 @pytest.mark.parametrize(

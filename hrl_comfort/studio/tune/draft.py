@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from operator import attrgetter
+from threading import Lock
 from typing import Any
 
 from omegaconf import OmegaConf
@@ -52,6 +53,7 @@ class Draft:
     def __init__(self, root: str, lines: Mapping[str, str]) -> None:
         self.root, self.lines, self._first = root, dict(lines), dict(lines)
         self.config = compose(root, self.lines.values())
+        self._lock = Lock()
 
     @property
     def changed(self) -> dict[str, str]:
@@ -59,17 +61,18 @@ class Draft:
         return {key: line for key, line in self.lines.items() if self._first.get(key) != line}
 
     def set(self, key: str, text: str) -> None:
-        """Set a key or choose a file of a group, as on the command line.
+        """Set a key or choose a file of a group, as on the command line; several threads may do so.
 
         A choice drops what was changed in its section.
 
         Raises:
           ConfigError: it is not allowed; the draft stays as it was.
         """
-        lines = {each: line for each, line in self.lines.items() if each != key and not each.startswith(f"{key}.")}
-        lines[key] = f"{key}={text}"
-        self.config = compose(self.root, lines.values())
-        self.lines = lines
+        with self._lock:
+            lines = {each: line for each, line in self.lines.items() if each != key and not each.startswith(f"{key}.")}
+            lines[key] = f"{key}={text}"
+            self.config = compose(self.root, lines.values())
+            self.lines = lines
 
     def value(self, key: str) -> Any:
         """Return the value of a key."""

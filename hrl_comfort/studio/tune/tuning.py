@@ -48,6 +48,7 @@ class Tuning:
         self, gui: Any, play: LivePlay, panel: Panel, rebuild: Callable[[dict[str, Any]], None], output: Path
     ) -> None:
         self._panel, self._person, self._rebuild, self._output = panel, play.person, rebuild, output
+        self._human = panel.session.asked.human
         self.draft = Draft("studio", overrides_of("studio", panel.session.asked))
         self.learner = Draft("train", {"agent": "agent=quick"})
         self.training = Training(self._output)
@@ -73,7 +74,8 @@ class Tuning:
         panel, person, config = self._panel, self._person, self.draft.config
         assert isinstance(config, StudioConfig)
         if error is None:
-            if config.human != person.human:
+            if config.human != self._human:  # else the person keeps a motion that was chosen for them
+                self._human = config.human
                 panel.ask(lambda: person.follow(config.human))
             level = config.comfort.level
             if "comfort.level" in self._due and level is not None:
@@ -91,15 +93,16 @@ class Tuning:
         now = [key for key in self._due if takes_effect_at_once(key)]
         later = [key for key in self._due if key not in now]
         said += [f"In force: {', '.join(now)}"] if now else []
-        said += [bold("At the next reset"), ", ".join(later)] if later else []
+        when = "At the next reset" + " after the recording" * self._panel.recording
+        said += [bold(when), ", ".join(later)] if later else []
         said += [warning(error)] if error else []
         self._said.show(*said)
 
     def _renew(self) -> None:
-        """Make the cells as the draft says, once; cells that cannot be made so stay as they are."""
+        """Make the cells as the draft says, once; cells that are recorded or cannot be made so stay as they are."""
         config, error = self.draft.config, None
         assert isinstance(config, StudioConfig)
-        if config is self._tried:
+        if config is self._tried or self._panel.recording:
             return
         self._tried = config
         changed = dict(self.draft.changed)
