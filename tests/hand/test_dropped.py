@@ -63,4 +63,7 @@ def test_a_chain_goes_home_after_an_option_that_was_cut_short() -> None:
     executor.load_state_dict({**executor.state_dict(), "_preempted": torch.tensor([True, True])})
     bent = state.joint_pos.clone()
     bent[1] += 0.5
-    assert executor.available(state.with_(joint_pos=bent)).tolist() == [[True, *[False] * 3], [*[False] * 3, True]]
+    assert executor.available(state.with_(joint_pos=bent, steps=state.steps + 1)).tolist() == [
+        [True, *[False] * 3],
+        [*[False] * 3, True],
+    ]

@@ -122,13 +122,13 @@ def test_what_was_preempted_goes_home_before_anything_else() -> None:
     outcome = engine.step(torch.zeros(8, 6).numpy())
     assert (executor.ended(outcome).termination == TERMINATIONS.index(Termination.PREEMPTED)).all()
     for stage in (0, 1, 2):
-        lost = state.with_(joint_pos=away, stage=torch.full((8,), stage))
+        lost = state.with_(joint_pos=away, stage=torch.full((8,), stage), steps=outcome.state.steps)
         mask = executor.available(lost)
         assert mask[:, idle(executor)[1]].all() and (mask.sum(dim=1) == 1).all()
         for choose in (nearest, cautious):
             asked = replace(executor.decision(engine.episodes.state), state=lost, mask=mask)
             assert (choose(asked) == options.position("retreat")).all()
-    assert executor.available(state.with_(joint_pos=near))[:, :4].all()
+    assert executor.available(state.with_(joint_pos=near, steps=outcome.state.steps))[:, :4].all()
     executor.begin(everyone, torch.zeros(8, dtype=torch.int64))
     taken = outcome.state.with_(stage=torch.ones(8, dtype=torch.int64), joint_pos=away)
     executor.ended(replace(outcome, state=taken))
