@@ -79,7 +79,7 @@ def measure(
     """Yield a row for each top and shift so far, of a learned one by its learner and with its training seed.
 
     Fixed orders, and then all others that are shown, work side by side; a flat policy works alone, and takes the
-    objects as they are numbered. Tops of rows that are `done` already do not work again, but for RULE, for comparison.
+    objects as they are numbered. Tops of rows that are `done` already do not work again, but for one, for comparison.
 
     Raises:
       ConfigError: what is `done` is of other shifts, or of another world.
@@ -92,7 +92,8 @@ def measure(
     if done is None:
         done = _beside(config, look.entries)
     else:
-        _check_same(done, _side_by_side(config, look.entries, [RULE]))
+        again = RULE if RULE in set(done["top"]) else IDLE  # the rules were not done when the measurement was stopped
+        _check_same(done, _side_by_side(config, look.entries, [again]))
     ready = set(zip(done["top"], done["seed"], strict=True))
     for name in [name for name, told in names.items() if told in ready]:
         learner, seed = names.pop(name)
@@ -134,12 +135,13 @@ def _judged(config: EvaluateConfig, entries: EvaluationSet, names: list[str]) ->
 
 
 def _check_same(done: DataFrame, again: DataFrame) -> None:
-    """Raise ConfigError if RULE does not earn what it did."""
-    before = done[done["top"] == RULE].sort_values("shift")
+    """Raise ConfigError if a top that works `again` does not earn what it did."""
+    name = str(again["top"].iloc[0])
+    before = done[done["top"] == name].sort_values("shift")
     if len(before) != len(again):
         raise ConfigError(f"the file is there already, of {len(before)} shifts; choose another file")
     if not np.allclose(before["return"], again["return"], rtol=0, atol=1e-5):
-        raise ConfigError(f"the file is there already, and {RULE} earned other returns there; choose another file")
+        raise ConfigError(f"the file is there already, and {name} earned other returns there; choose another file")
 
 
 def _side_by_side(config: EvaluateConfig, entries: EvaluationSet, names: list[str], judged: bool = False) -> DataFrame:
