@@ -178,9 +178,10 @@ def training_spawn(
     Raises:
       ConfigError: no free position in MAX_SPAWN_DRAWS draws.
     """
-    held_out, indices = spawns[list(config.held_out)], training_spawns(config)
+    held_out = spawns[list(config.held_out)]
     nearest, farthest = config.spawn_radius_m
     at_point = config.spawn == "points" or (config.spawn == "mixed" and rng.random() < 0.5)
+    indices = training_spawns(config) if at_point else np.empty(0, dtype=np.int64)
     for _ in range(MAX_SPAWN_DRAWS):
         index = -1
         if at_point:

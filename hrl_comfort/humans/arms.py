@@ -63,19 +63,23 @@ def arm_way(bent: Array, limbs: Array, upper: int) -> float:
     return math.sqrt(max(elbow, hand))
 
 
-def drawn_back(limbs: Array, yaw: Array, touched: NDArray[np.int64], away: Array) -> Array:
-    """Return `Walk.limbs` (n, 6, 3) a control step later, of people at `yaw` (n,) rad whom the robot touches.
+@kernel
+def drawn_back(limbs: Array, cosine: float, sine: float, touched: int, away: Array) -> Array:
+    """Return the limbs (6, 3) of `Walk.limbs` a control step later, of somebody whom the robot touches.
 
-    It touches the limb `touched` (n,), an index of `scene.human.LIMBS`; if that is of an arm that does not swing in its
-    gait, the whole arm goes in the direction of the unit vector `away` (n, 3), cell frame.
+    It touches the limb `touched`, an index of `scene.human.LIMBS`; if that is of an arm that does not swing in its
+    gait, the whole arm goes in the direction of the unit vector `away` (3,), cell frame. `cosine` and `sine` are those
+    of the person's yaw.
     """
-    cos, sin, (x, y, z) = np.cos(yaw), np.sin(yaw), away.T
-    step = np.stack([cos * x + sin * y, cos * y - sin * x, z], axis=1)
-    step *= BACK_M_S * CONTROL_STEP_S / (UPPER_ARM_M + FOREARM_M)
     moved = limbs.copy()
-    rows = np.flatnonzero(touched >= FIRST_ARM)
-    upper = 2 + (touched[rows] - FIRST_ARM) % 2
+    if touched < FIRST_ARM:
+        return moved
+    x, y, z = away
+    share = BACK_M_S * CONTROL_STEP_S / (UPPER_ARM_M + FOREARM_M)
+    step = (cosine * x + sine * y) * share, (cosine * y - sine * x) * share, z * share
+    upper = 2 + (touched - FIRST_ARM) % 2
     for limb in (upper, upper + 2):
-        vector = limbs[rows, limb] + step[rows]
-        moved[rows, limb] = vector / np.linalg.norm(vector, axis=1, keepdims=True)
+        a, b, c = limbs[limb, 0] + step[0], limbs[limb, 1] + step[1], limbs[limb, 2] + step[2]
+        size = math.sqrt(a * a + b * b + c * c)
+        moved[limb, 0], moved[limb, 1], moved[limb, 2] = a / size, b / size, c / size
     return moved

@@ -57,6 +57,10 @@ class Walk:
         """Return copies of position, yaw, limbs and memory: what motions propose to change."""
         return self.position.copy(), self.yaw.copy(), self.limbs.copy(), self.memory.copy()
 
+    def copy(self) -> Walk:
+        """Return the same walks, in arrays of their own."""
+        return Walk(**{name: value.copy() for name, value in vars(self).items()})
+
     def part(self, at: slice | NDArray[np.int64]) -> Walk:
         """Return the walks of the rows `at`; without copying those of a slice."""
         return Walk(**{name: value[at] for name, value in vars(self).items()})
@@ -122,6 +126,10 @@ class Surroundings:
     """(n, S, 2) m, where those who live there work."""
     held: NDArray[np.int64]
     """(n,) index in `cell.objects` of the kind of object that the robot holds, -1 if none."""
+
+    def copy(self) -> Walk:
+        """Return the same walks, in arrays of their own."""
+        return Walk(**{name: value.copy() for name, value in vars(self).items()})
 
     def part(self, at: slice | NDArray[np.int64]) -> Surroundings:
         """Return the surroundings of the rows `at`."""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_comfort.compiled import contiguous, plain
-from hrl_comfort.safety import kernels, pair_kernels
+from hrl_comfort.safety import kernels
 from hrl_comfort.scene.workcell import Scene
 
 Array = NDArray[np.float64]
@@ -202,25 +202,6 @@ def gaps(arm: ArmGeometry, ends: Array, person: PersonGeometry, limbs: Array) ->
     apart = segment_distance(ends[:, :, None, 0], ends[:, :, None, 1], limbs[:, None, :, 0], limbs[:, None, :, 1])
     nearest: Array = (apart - (arm.radius[:, None, None] + person.radius[:, None])).min(axis=1)
     return nearest
-
-
-def nearest_part(
-    arm: ArmGeometry, ends: Array, person: PersonGeometry, limbs: Array
-) -> tuple[NDArray[np.int64], Array]:
-    """Return the capsule (N,) of people that is nearest to the arm, and the unit vector (N, 3) from the arm to it.
-
-    The vector joins the nearest points of the axes; it is 0 where these cross. See `gaps`.
-    """
-    if plain(ends, limbs):
-        return pair_kernels.nearest_part(*contiguous(ends, limbs), arm.radius, person.radius)  # type: ignore[no-any-return]
-    on_arm, on_person = closest_points(
-        ends[:, :, None, 0], ends[:, :, None, 1], limbs[:, None, :, 0], limbs[:, None, :, 1]
-    )
-    between = (on_person - on_arm).reshape(3, ends.shape[1] * limbs.shape[1], ends.shape[-1])
-    apart = norm(between) - (arm.radius[:, None] + person.radius).reshape(-1, 1)
-    nearest = apart.argmin(axis=0)
-    vector = between[:, nearest, np.arange(len(nearest))]
-    return nearest % len(person.radius), (vector / np.maximum(norm(vector), 1e-9)).T
 
 
 def farthest(ends: Array, before: Array) -> Array:

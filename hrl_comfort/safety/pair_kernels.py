@@ -13,7 +13,10 @@ Array = NDArray[np.float64]
 
 @kernel
 def nearest_part(ends: Array, limbs: Array, arm_radius: Array, person_radius: Array) -> tuple[NDArray[np.int64], Array]:
-    """See `geometry.nearest_part`."""
+    """Return the capsule (N,) of people that is nearest to the arm, and the unit vector (N, 3) from the arm to it.
+
+    The vector joins the nearest points of the axes; it is 0 where these cross. See `geometry.gaps`.
+    """
     n = ends.shape[3]
     nearest, away = np.zeros(n, np.int64), np.zeros((n, 3))
     for m in range(n):

@@ -95,7 +95,7 @@ class Draw:
     hand: Array
     """With a gripper the recorded bodies (nq + nv,) and set-point of the fingers, NaN where none are; else (0,)."""
     points: Array
-    """(2, 3) m, of `reach` and `point_to_point`."""
+    """(2, 3) m, of `reach` and `point_to_point`; elsewhere in no use."""
     world: Array
     readings: Array
     frames: Array
@@ -147,6 +147,9 @@ class EpisodeSampler:
         self._own = self._bodies + sizes
         self._half_heights = np.array([each.half_height_m for each in config.cell.objects.values()])
         self._grasps = scene.gripper is not None and task.start == Start.HOME and task.stages[0].grasps
+        self._points = np.array([config.task.point_m, config.task.second_point_m])
+        needed = task.points or self._grasps
+        self._points_drawn = "never" if config.task.point != RANDOM else "now" if needed else "later"
         self.reach = 0.0 if config.task.start == PREGRASP else np.inf
         """Of tasks that begin with a grasp: see `CurriculumConfig.reach`; infinite at home."""
         self._recorded = recorded_starts(config, task.start, self._joints, hand + sizes)
@@ -186,7 +189,7 @@ class EpisodeSampler:
         own = self.generator(row, episode, TRAIT_STREAM)
         traits = np.stack([each.random(humans.TRAITS) for each in (own, *others)])
         traits[:, 1:] = low + (high - low) * traits[:, 1:]
-        slots = self._slots.drawn(self.generator(row, episode, SLOT_STREAM))
+        slots = self._slots.drawn(self.generator(row, episode, SLOT_STREAM)) if self._slots.own else {}
         arriving = self._slots.objects(kind, slots, self.generator(row, episode, OBJECT_STREAM))
         turns = np.zeros(self._config.task.objects)
         if self._scene.gripper is not None:
@@ -205,10 +208,13 @@ class EpisodeSampler:
             start = bank[rng.integers(len(bank))]
             if len(start) > self._own + WITH_HUMAN:
                 layout = self._layouts.numbered("train", int(start[-1]))
-            spawn_id, spawn, points = self._spawn_and_points(row, rng, layout)
+            spawn_id, spawn, discs = self._spawn(row, rng, layout)
+            points, near = self._points, spawn
+            if self._points_drawn == "now":
+                points = self._random_points(near, layout.goals, rng)
+                discs = self.keep_out(points[None], layout.goals[None])
             told = level.copy()
             person = start[None, self._own : self._own + 2]
-            discs = self.keep_out(points[None], layout.goals[None])
             given = kept and len(start) > self._own and self._drawn and np.isfinite(person).all()
             if given:
                 spawn_id, spawn = -1, humans.outside(person, discs)[0]
@@ -229,6 +235,8 @@ class EpisodeSampler:
             )  # fmt: skip
             body = self._body(start, layout, rng)
             yield Draw(*standing, noise, traits, told, *ids, spawns, *body, points, *other, factors, key, rater)
+            if self._points_drawn == "later":  # the next attempt goes on in their stream, though they are in no use
+                self._random_points(near, layout.goals, rng)
 
     @property
     def _streams(self) -> range:
@@ -291,21 +299,19 @@ class EpisodeSampler:
             first = int(self._evaluation.episode_seed.take(row, mode="wrap")) << 32
         return random_stream(first, (stream << 48) + episode)
 
-    def _spawn_and_points(self, row: int, rng: np.random.Generator, layout: Layout) -> tuple[int, Array, Array]:
-        human, task = self._config.human, self._config.task
-        points = np.array([task.point_m, task.second_point_m])
-        drawn = task.point == "random"
-        if drawn and self._task.points:  # random points keep clear of the human themselves
+    def _spawn(self, row: int, rng: np.random.Generator, layout: Layout) -> tuple[int, Array, humans.KeepOut]:
+        """Return the first person's spawn point, where (2,) m they begin, and the discs that they keep out of."""
+        human = self._config.human
+        if self._config.task.point == RANDOM and self._task.points:  # random points keep clear of the human themselves
             discs = humans.around(np.empty((0, 2)), human.keep_out_m, 1)
         else:
-            discs = self.keep_out(points[None], layout.goals[None])
+            discs = self.keep_out(self._points[None], layout.goals[None])
         if self._evaluation is not None and not self._drawn:
             entry = row % len(self._evaluation.episode)
             spawn_id, spawn = int(self._evaluation.spawn_id[entry]), self._evaluation.position[entry]
         else:
             spawn_id, spawn = humans.training_spawn(human, self.spawns[0], discs, rng)
-        spawn = humans.outside(spawn[None], discs)[0]
-        return spawn_id, spawn, self._random_points(spawn, layout.goals, rng) if drawn else points
+        return spawn_id, humans.outside(spawn[None], discs)[0], discs
 
     def _random_points(self, spawn: Array, goals: Array, rng: np.random.Generator) -> Array:
         """Return two points (2, 3) m, clear of `goals` (M, 3) m, of each other and of a human at spawn (2,)."""

@@ -158,8 +158,7 @@ class Episodes:
                 raise ConfigError("the first reset must reset every row")
             self.state = state if self.state is None else self.state.put(torch.from_numpy(pending), state)
             self.plan.accepted(pending, planned.limbs[:, 0])
-            solved = self.subtask.next_stage(state) > 0
-            bad = solved | state.touching | self.subtask.failure(state)
+            bad = self.subtask.begins_done(state) | state.touching | self.subtask.failure(state)
             if self.scene.gripper is not None and self.subtask.start == Start.AT_OBJECT:
                 bad |= ~state.pads[:, 0].all(dim=-1)
             pending = pending[bad.numpy()]

@@ -17,23 +17,22 @@ from numpy.typing import NDArray
 from hrl_comfort import humans
 from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import HumanConfig
-from hrl_comfort.humans.arms import drawn_back
-from hrl_comfort.humans.retreat import begin_retreat
 from hrl_comfort.instants import chosen, ended_early
 from hrl_comfort.safety import kernels
-from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry, farthest, gaps, nearest_part
+from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry
 from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.scene.human import BODY
 from hrl_comfort.scene.workcell import Scene
+from hrl_comfort.sim import people_kernels
 from hrl_comfort.sim.controls import limbs_of
+from hrl_comfort.sim.people_kernels import OVERLAP_M
 from hrl_comfort.sim.variation.disturbance import Disturbance
 
 Array = NDArray[np.float64]
 Leaves = Callable[[humans.Walk], NDArray[np.bool_]]
 """`Motions.leaves`."""
-OVERLAP_M = 1e-5
-"""Depth to which somebody walks into the arm, so that the touch is sensed. People are moved, and push without limit:
-from a depth of 1 mm they flung parts that cannot give way at 5 m/s."""
+MOVING = ("position", "yaw", "walked_m", "speed_m_s", "step", "velocity", "limbs", "memory", "retreat")
+"""Fields of `people_kernels.Moving`."""
 
 
 @dataclass(frozen=True)
@@ -237,35 +236,17 @@ def _stopped(
     )
     if not touching:
         return Crowd((walk,), limbs, ends), way
-    touched = np.flatnonzero(gap <= 0.0)
-    walk = begin_retreat(walk, touched)
-    room = gaps(arm, now.pose.ends[..., touched], person, now.person[..., touched]).min(axis=0)
-    share = share_walked(room, gap[touched])
-    stops = np.flatnonzero(share < 1.0)
-    if not len(stops):
-        return Crowd((walk,), limbs, ends), way
-    at = touched[stops]
-    stood = before.rows(at)
-    place = stood.position + share[stops, None] * (walk.position[at] - stood.position)
-    held = replace(stood, position=place, velocity=np.zeros_like(stood.velocity), retreat=walk.retreat[at])
-    leaving = leaves(held)
-    if leaving.any():
-        back = _drawn_back(scene, arm, person, now.pose.ends[..., at], held)
-        held = replace(held, limbs=np.where(leaving[:, None, None], back, held.limbs))
-    limbs[at] = limbs_of(scene, held)
-    ends[..., at] = person.ends(limbs[at])
-    way = max(way, farthest(ends[..., at], now.person[..., at]).max(initial=0.0))
-    return Crowd((walk.put(at, held),), limbs, ends), way
+    held, arm_and_person = walk.copy(), (given[0], given[2])
+    most = people_kernels.hold(
+        moving(held), moving(before), np.cos(before.yaw), np.sin(before.yaw), leaves(before), scene.floor_z, BODY,
+        person.compiled, *arm_and_person, gap, arm.radius, person.radius, limbs, ends,
+    )  # fmt: skip
+    return Crowd((held,), limbs, ends), max(way, most)
 
 
-def _drawn_back(scene: Scene, arm: ArmGeometry, person: PersonGeometry, ends: Array, held: humans.Walk) -> Array:
-    """Return the limbs (n, 6, 3) of people `held` (n) by arms with capsules at `ends` (3, C, 2, n) m.
-
-    A touched hand is drawn back if it can be: one that hooks behind the arm would hold its owner, and the arm.
-    """
-    now = person.ends(limbs_of(scene, held))
-    part, away = nearest_part(arm, ends, person, now)
-    back = drawn_back(held.limbs, held.yaw, person.limb[part], away)
-    then = person.ends(limbs_of(scene, replace(held, limbs=back)))
-    room, gap = (gaps(arm, ends, person, each).min(axis=0) for each in (now, then))
-    return np.where((gap < room)[:, None, None], held.limbs, back)
+def moving(walk: humans.Walk) -> people_kernels.Moving:
+    """Return the fields of a walk that change in a control step, as kernels take them."""
+    position, yaw, walked_m, speed_m_s, step, velocity, limbs, memory, retreat = contiguous(
+        *(getattr(walk, name) for name in MOVING)
+    )
+    return position, yaw, walked_m, speed_m_s, step, velocity, limbs, memory, retreat

@@ -132,8 +132,17 @@ class Subtask:
                 stage = torch.where((own == index) & item.dropped(state), state.stage - 1, stage)
         if self.arrival_speed is None:
             return stage
-        fast = vector_norm(state.joint_vel, dim=-1) >= self.arrival_speed
-        return torch.where(fast, torch.minimum(stage, state.stage), stage)
+        return torch.where(self._fast(state), torch.minimum(stage, state.stage), stage)
+
+    def begins_done(self, state: State) -> Tensor:
+        """Return (N,) bool: the first stage, in which an episode begins, is done in its first state."""
+        done = self.stages[0].done(state)
+        return done if self.arrival_speed is None else done & ~self._fast(state)
+
+    def _fast(self, state: State) -> Tensor:
+        """Return (N,) bool: the joints are not slower than `arrival_speed`."""
+        fast: Tensor = vector_norm(state.joint_vel, dim=-1) >= self.arrival_speed
+        return fast
 
     def in_round(self, stage: Tensor) -> Tensor:
         """Return the stages (N,) counted from the first of their round, if stages are repeated."""

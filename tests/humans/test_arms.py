@@ -44,7 +44,8 @@ def test_elbows_and_hands_are_as_fast_as_the_motion_of_the_person_leaves_them(na
 def test_a_touched_arm_goes_away_and_the_other_limbs_stay() -> None:
     limbs, away = np.repeat(POSTURE[None], len(LIMBS), axis=0), np.array([0.0, 0.6, 0.8])
     yaw = np.full(len(LIMBS), np.pi / 2)  # their left is along -x, and ahead along y
-    moved = drawn_back(limbs, yaw, np.arange(len(LIMBS)), np.tile(away, (len(LIMBS), 1)))
+    turns = np.cos(yaw), np.sin(yaw)
+    moved = np.stack([drawn_back(limbs[k], turns[0][k], turns[1][k], k, away) for k in range(len(LIMBS))])
     hands, before = (body.hands(each) for each in (moved, limbs))
     ahead = (hands - before) @ [0.6, 0.0, 0.8]
     for index, limb in enumerate(LIMBS):

@@ -18,7 +18,7 @@ from hrl_comfort.compiled import kernel, plain
 from hrl_comfort.composition.compose import compose, compose_environment
 from hrl_comfort.safety import drive_kernels, kernels
 from hrl_comfort.safety.drive import SetPoints, make_drive
-from hrl_comfort.safety.geometry import ArmPose, farthest, gaps, nearest_part
+from hrl_comfort.safety.geometry import ArmPose, farthest, gaps
 from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.workcell import build_scene, scene_of
 from hrl_comfort.sim.controls import limbs_of
@@ -101,15 +101,6 @@ def test_distances_of_capsules_that_cross_touch_lie_in_line_or_are_points(separa
 
     both(apart, ends, limbs)
 
-    def nearest(first: Array, second: Array) -> tuple[Array, Array]:
-        return nearest_part(separation.arm, first, separation.person, second)
-
-    both(nearest, ends, limbs)
-    both(nearest, ends, np.ascontiguousarray(ends[:, : limbs.shape[1]]))
-    unknown = limbs.copy()
-    unknown[:, 1, 0, :1] = np.nan
-    both(nearest, ends, unknown)
-    both(nearest, ends[..., :0], limbs[..., :0])
     both(separation.pairs, rng.normal(size=(rows, 6)), rng.normal(size=(rows, 6)), people(rng, rows))
     both(farthest, limbs, rng.normal(size=limbs.shape))
     both(farthest, limbs, limbs)

@@ -16,6 +16,8 @@ from hrl_comfort.tasks import Subtask
 Array = NDArray[np.float64]
 ARRIVALS = 256
 """Number of objects that arrive later of which the kinds are drawn."""
+MIDDLE_M = np.zeros((1, 2))
+"""The slot of an object that lies alone."""
 ROOM_M = 0.005
 """Smallest distance of an open hand at an object from the object in the next slot."""
 
@@ -29,21 +31,23 @@ class Slots:
 
     def __init__(self, scene: Scene, config: EnvConfig, task: Subtask) -> None:
         self._config, self._task = config, task
-        self._own = scene.gripper is not None and config.task.objects > 1
+        self.own = scene.gripper is not None and config.task.objects > 1
         """Whether each object has a slot of its own where it belongs, too."""
+        self._slots_m = {name: np.array(place.slots_m) for name, place in config.cell.places.items()}
+        self._arriving = tuple(dict.fromkeys(each.arrives_at for each in config.cell.objects.values()))
         _check_widths(config)
         if config.task.objects > 1:
-            _check_slots(config, half_width_m(scene.planning) + ROOM_M if self._own else 0.0)
+            _check_slots(config, half_width_m(scene.planning) + ROOM_M if self.own else 0.0)
 
     def drawn(self, rng: np.random.Generator) -> dict[str, Array]:
-        """Return the slots (B, 2) m of the objects at each place, in its frame; none without a gripper, or of one.
+        """Return the slots (B, 2) m of the objects at each place, in its frame, where they have their `own`.
 
         An object has one slot at each place, whether it arrives or belongs there; where there are orders, at the places
         of its kind.
         """
         cell, count, found = self._config.cell, self._config.task.objects, dict[str, Array]()
-        for name, place in cell.places.items() if self._own else ():
-            own, found[name] = np.array(place.slots_m), np.zeros((count, 2))
+        for name in cell.places:
+            own, found[name] = self._slots_m[name], np.zeros((count, 2))
             users = slot_users(self._config.task, cell, name)
             found[name][users] = own[rng.permutation(len(own))[: len(users)]]
         return found
@@ -59,8 +63,8 @@ class Slots:
         """
         task, cell = self._config.task, self._config.cell
         count, kinds, drawn = task.objects, list(cell.objects.values()), dict[str, Array]()
-        for name in dict.fromkeys(each.arrives_at for each in kinds):
-            own = np.array(cell.places[name].slots_m if count > 1 else [[0.0, 0.0]])
+        for name in self._arriving:
+            own = self._slots_m[name] if count > 1 else MIDDLE_M
             drawn[name] = own[rng.permutation(len(own))[:count]] if name not in slots else slots[name]
         jitter = task.object_jitter_m * rng.uniform(-1, 1, (count, 2))
         offsets = np.empty((count, len(kinds), 2, 2))
