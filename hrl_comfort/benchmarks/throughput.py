@@ -16,6 +16,8 @@ from hrl_comfort.benchmarks.entries import FILE, Entry, levels_in, of_seeds, pai
 from hrl_comfort.config import ConfigError
 from hrl_comfort.files.documents import read_json
 
+COMPARED = "both compared at"
+"""Head of the column of the throughput to which entries rest."""
 X, Y, PERSON = "objects_per_min", "avoidable_discomfort_per_min", "person_rating_mean"
 
 
@@ -36,8 +38,8 @@ def of_a_told_robot(part: str, folder: Path, fixed: Path, idle: Path) -> str:
     found = [at_level(points(entry, part, PERSON), None, folder) for entry in own]
     mixed = [[(0.0, at_rest), *points(entry, part, PERSON).values()] for entry in others]
     line = [_work(found), *cells(beside_mixes(found, mixed, max, at_rest))[:-1]]
-    heads = ["rating there (1 to 7), level from the person", "of the best mix of fixed levels", "difference"]
-    return markdown([WORK[part], "compared at", *heads], [line])
+    heads = ["its rating there (1 to 7)", "that of the best mix of fixed levels", "difference"]
+    return markdown([WORK[part], COMPARED, *heads], [line])
 
 
 def of_rivals(part: str, folder: Path, rivals: Sequence[Path]) -> str:
@@ -61,8 +63,8 @@ def of_rivals(part: str, folder: Path, rivals: Sequence[Path]) -> str:
         mixed = [[IDLE, *(at_level(each, level, folder) for each in theirs[seed])] for seed in seeds]
         found = [at_level(mine[seed], level, folder) for seed in seeds]
         lines.append([str(level), _work(found), *cells(beside_mixes(found, mixed, min))])
-    heads = ["avoidable discomfort there, s a minute", "of the best mix of rivals", "difference", "difference, %"]
-    return markdown(["level", WORK[part], "compared at", *heads], lines)
+    heads = ["its avoidable discomfort there, s a minute", "that of the best mix", "difference", "difference, %"]
+    return markdown(["level", WORK[part], COMPARED, *heads], lines)
 
 
 def _work(found: Points) -> str:

@@ -13,6 +13,8 @@ from hrl_comfort.plots.style import BLACK, CYCLE, around, of_estimates, styled
 
 MARKERS = "osD^v"
 """Beside the colours, which are two more, so that few policies share both."""
+RING = {"markersize": 11, "markerfacecolor": "none", "markeredgewidth": 1.5}
+"""Look of a point of which only the rim is to be seen round another."""
 X, Y = "avoidable_discomfort_per_min", "objects_per_min"
 TOP = "meta_controller.name"
 Results = Mapping[int, Mapping[str, Any]]
@@ -22,9 +24,10 @@ Results = Mapping[int, Mapping[str, Any]]
 def front(entries: Sequence[Mapping[str, Any]]) -> Figure:
     """Draw throughput over avoidable discomfort, a panel a task and level and a point a policy, with 95 % intervals.
 
-    The origin is an arm that rests at home. The dashed line is *time-sharing*: the least discomfort of a mix of
-    policies, and of rest, that is as productive. A cross marks unsafe contacts, a hollow point and a star an entry of
-    another suite. Entries without a fixed level or of the top `idle`, or in which X was not measured, are left out.
+    The origin is an arm that rests at home. The dashed line is the least discomfort of a mix of policies, and of rest,
+    that is as productive. A cross marks unsafe contacts, a hollow point and a star an entry of another suite, a ring an
+    entry that another one is equal to. Entries without a fixed level or of the top `idle`, or in which X was not
+    measured, are left out.
     """
     entries = [entry for entry in entries if entry.get("top", {}).get(TOP) != "idle"]
     parts = {part: levels for part in WORK if (levels := levels_of(entries, part))}
@@ -80,14 +83,23 @@ def look(number: int, entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def draw(axis: Axes, results: Results, looks: Mapping[int, Mapping[str, Any]]) -> None:
-    """Draw the points of a level, and what resting and time-sharing come to."""
+    """Draw the points of a level, and what resting and mixes come to."""
     x, y = (of_estimates([at[name] for at in results.values()]) for name in (X, Y))
     points = [IDLE, *zip(y[0].tolist(), x[0].tolist(), strict=True)]
     work = sorted({each for each, _ in points})
-    axis.plot([best_mix(points, each, min) for each in work], work, color="0.5", lw=1.0, ls="--", label="time-sharing")
+    axis.plot(
+        [best_mix(points, each, min) for each in work],
+        work,
+        color="0.5",
+        lw=1.0,
+        ls="--",
+        label="best mix of policies and rest",
+    )
     axis.plot(0, 0, "P", color="0.4", markersize=7, label="idle", zorder=2, clip_on=False)
     for column, (number, at) in enumerate(results.items()):
         here, there = x[:, column : column + 1], y[:, column : column + 1]
-        axis.errorbar(here[0], there[0], around(*there), around(*here), **looks[number])
+        equal = (x[0, column + 1 :] == x[0, column]) & (y[0, column + 1 :] == y[0, column])
+        own = {**looks[number], **(RING if bool(equal.any()) else {})}
+        axis.errorbar(here[0], there[0], around(*there), around(*here), **own)
         if at["unsafe_contacts_per_h"]["mean"] > 0:
             axis.plot(here[0], there[0], "x", color=BLACK, markersize=9, zorder=3)
