@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -14,6 +15,7 @@ from hrl_comfort.agents.baselines.end_to_end import EndToEnd
 from hrl_comfort.agents.baselines.held import Held
 from hrl_comfort.agents.baselines.hiro import HIRO
 from hrl_comfort.agents.baselines.option_critic import NONE, OptionCritic
+from hrl_comfort.agents.baselines.turns import seldom
 from hrl_comfort.agents.learners import make_learner
 from hrl_comfort.agents.networks import Actor
 from hrl_comfort.config import ConfigError
@@ -27,8 +29,14 @@ def made(name: str, **own: Any) -> Any:
     return make_learner("agent", agent(name=name, own=own, normalise=False, learning_rate=1e-2), D, A)
 
 
-def step(learner: Any, before: Tensor, after: Tensor, done: Tensor | None = None, reward: float = 0.0) -> Tensor:
-    """Let a learner act at `before` (N, D), and observe that `after` followed; return its actions."""
+def step(
+    learner: Any, before: Tensor, after: Tensor, done: Tensor | None = None, reward: float = 0.0,
+    shown: Tensor | None = None,
+) -> Tensor:  # fmt: skip
+    """Let a learner act at `before` (N, D), and observe that `after` followed; return its actions.
+
+    In the rows `shown` (N,) bool they are taken for those of a demonstrator.
+    """
     action = learner.act(TensorDict({"observation": before}), 0.0)
     none = torch.zeros(len(before), 1, dtype=torch.bool)
     then = {
@@ -41,7 +49,7 @@ def step(learner: Any, before: Tensor, after: Tensor, done: Tensor | None = None
         "observation": before,
         "action": action,
         "steps_to_next_obs": torch.full((len(before), 1), 2),
-        "demonstrated": none[:, 0],
+        "demonstrated": none[:, 0] if shown is None else shown,
         "next": TensorDict(then, batch_size=[len(before)]),
     }
     learner.observe(TensorDict(seen, batch_size=[len(before)]))
@@ -118,6 +126,35 @@ def test_the_relabelled_goal_is_the_likeliest_candidate() -> None:
     torch.testing.assert_close(learner.upper.likeliest(batch), meant)
     found = torch.stack([meant, -meant, meant + 0.1], dim=1)
     assert (learner.upper.log_likelihood(batch, found).argmax(1) == 0).all()
+
+
+def test_hiro_takes_what_a_demonstrator_reached_for_its_goal() -> None:
+    learner = made("hiro", goals=[1, 3], reach=0.5, every=3)
+    path, shown, actions = [torch.randn(N, D) for _ in range(4)], torch.tensor([True, False, False]), []
+    for index in range(3):
+        done = torch.tensor([False, False, index == 1])
+        actions.append(step(learner, path[index], path[index + 1], done, shown=shown))
+    lower = learner.lower.buffer.storage[: len(learner.lower.buffer)]
+    mine = lower[lower["demonstrated"]]
+    assert len(lower) == 3 * N and len(mine) == 3, "those of the demonstrator once, when its goal is over"
+    ways = torch.stack([(path[3] - path[index])[0, [1, 3]] / 0.5 for index in range(4)])
+    torch.testing.assert_close(mine["observation"][:, D:], ways[:3])
+    torch.testing.assert_close(mine["next", "observation"][:, D:], ways[1:])
+    torch.testing.assert_close(mine["next", "observation"][:, :D], torch.stack([each[0] for each in path[1:]]))
+    torch.testing.assert_close(mine["next", "reward"][:, 0], -ways[1:].norm(dim=1))
+    torch.testing.assert_close(mine["action"], torch.stack([each[0] for each in actions]))
+    upper = learner.upper.buffer.storage[: len(learner.upper.buffer)]
+    assert upper["demonstrated"].tolist() == [False, True, False]
+    torch.testing.assert_close(upper["action"][1], ways[0].clamp(-1, 1))
+    learner.upper.buffer.storage[:]["action"][1] = 0.25  # whatever is likeliest
+    sampled = learner.upper.sample()
+    assert (sampled["action"][sampled["demonstrated"]] == 0.25).all() and sampled["demonstrated"].any()
+
+
+def test_what_is_counted_in_updates_ends_as_soon_for_a_learner_that_takes_turns() -> None:
+    rare = seldom(replace(agent(), critic_warmup_updates=2000, ema_rate=5e-4, updates_per_policy_step=0.25), 10)
+    assert (rare.critic_warmup_updates, rare.ema_rate, rare.updates_per_policy_step) == (200, 5e-3, 0.025)
+    assert seldom(replace(agent(), ema_rate=0.5), 10).ema_rate == 1.0
 
 
 def test_hiros_columns_are_those_of_the_observation() -> None:
@@ -289,5 +326,14 @@ def test_skills_learn_end_to_end_each_from_its_stage_and_from_what_the_next_one_
 
 
 def test_the_stages_have_a_column_for_each_skill() -> None:
-    with pytest.raises(ConfigError, match=r"^agent\.own\.stages=\[3, 5\] must be a column from 0 to 4 for each of "):
-        made("end_to_end", skills=["pick", "place"], stages=[3, 5])
+    for stages in ([3, 5], [2, 3, 4]):
+        with pytest.raises(
+            ConfigError, match=r"^agent\.own\.stages=\[.*\] must be columns from 0 to 4, one a round for "
+        ):
+            made("end_to_end", skills=["pick", "place"], stages=stages)
+
+
+def test_skills_act_in_their_stages_of_every_round() -> None:
+    learner = made("end_to_end", skills=["pick", "place"], stages=[1, 2, 3, 4])
+    stage, seen = learner.policy.split(torch.cat([torch.arange(4.0)[:, None], torch.eye(4)], dim=1))
+    assert stage.tolist() == [0, 1, 0, 1] and seen[:, 0].tolist() == [0, 1, 2, 3]

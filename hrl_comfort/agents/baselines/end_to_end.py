@@ -13,6 +13,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 
+from hrl_comfort.agents.baselines.turns import seldom
 from hrl_comfort.agents.sac import SAC
 from hrl_comfort.config import AgentConfig, ConfigError
 from hrl_comfort.config.learning import EndToEndKeys
@@ -37,15 +38,15 @@ class StagePolicy(nn.Module):
         return actions.gather(1, stage[:, None, None].expand(-1, 1, actions.shape[2])).squeeze(1)
 
     def split(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the stage in force (N,), and what a skill sees (N, D - K)."""
-        return observation[:, self._stages].argmax(1), observation[:, self._others]
+        """Return whose stage is in force (N,), and what a skill sees (N, D - K); of several rounds all are alike."""
+        return observation[:, self._stages].argmax(1) % len(self._pairs), observation[:, self._others]
 
 
 class EndToEnd:
     """The learner: a soft actor-critic for each skill, `parts`, which take turns in updates.
 
     Raises:
-        ConfigError: the columns are not those of the observation, one for each skill, or as soft actor-critic.
+        ConfigError: the columns are not those of the observation, as many for each skill, or as soft actor-critic.
     """
 
     Keys = EndToEndKeys
@@ -55,10 +56,10 @@ class EndToEnd:
 
     def __init__(self, config: AgentConfig, observation_dim: int, action_dim: int, own: EndToEndKeys) -> None:
         stages = [*map(int, own.stages)]
-        if len(stages) != len(own.skills) or max(stages) >= observation_dim:
+        if not stages or len(stages) % len(own.skills) or max(stages) >= observation_dim:
             raise ConfigError(
-                f"agent.own.stages={stages} must be a column from 0 to {observation_dim - 1} for each of "
-                f"agent.own.skills={own.skills}"
+                f"agent.own.stages={stages} must be columns from 0 to {observation_dim - 1}, one a round for each "
+                f"of agent.own.skills={own.skills}"
             )
         self.config, self._updates = config, 0
         alone = self._alone(config, len(own.skills))
@@ -70,10 +71,7 @@ class EndToEnd:
 
     def _alone(self, config: AgentConfig, skills: int) -> AgentConfig:
         """Return the configuration of one of the skills, which share the buffer and the updates."""
-        return replace(
-            config, name="sac", own={}, buffer_size=max(config.batch_size, config.buffer_size // skills),
-            updates_per_policy_step=config.updates_per_policy_step / skills,
-        )  # fmt: skip
+        return seldom(replace(config, name="sac", own={}), skills)
 
     @torch.no_grad()
     def act(self, now: TensorDictBase, exploration: float = 0.0) -> Tensor:

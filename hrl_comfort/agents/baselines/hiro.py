@@ -14,6 +14,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 
+from hrl_comfort.agents.baselines.turns import seldom
 from hrl_comfort.agents.memory import check_memory
 from hrl_comfort.agents.sac import SAC
 from hrl_comfort.config import AgentConfig, ConfigError
@@ -66,9 +67,9 @@ class Upper(SAC):
     candidates: int
 
     def sample(self) -> TensorDict:
-        """Return B transitions as of any soft actor-critic, each with the likeliest goal as its action."""
+        """Return B transitions as of any soft actor-critic, with the likeliest goals as actions, or those shown."""
         batch = super().sample()
-        batch["action"] = self.likeliest(batch)
+        batch["action"] = torch.where(batch["demonstrated"][:, None], batch["action"], self.likeliest(batch))
         return batch
 
     @torch.no_grad()
@@ -99,7 +100,7 @@ class Upper(SAC):
 class HIRO:
     """The learner: `lower` learns from every decision, `upper` from every goal.
 
-    Demonstrated actions are experience like any other: nobody knows which goal they pursued.
+    What a demonstrator reaches in the time of a goal is taken for the goal that it pursued.
 
     Raises:
         ConfigError: a column is not one of the observation, or as soft actor-critic.
@@ -126,11 +127,7 @@ class HIRO:
         self._forget(0)
 
     def _upper_config(self, config: AgentConfig) -> AgentConfig:
-        return replace(
-            config, target_entropy=-float(len(self.goals.columns)),
-            buffer_size=max(config.batch_size, config.buffer_size // self.own.every),
-            updates_per_policy_step=config.updates_per_policy_step / self.own.every,
-        )  # fmt: skip
+        return replace(seldom(config, self.own.every), target_entropy=-float(len(self.goals.columns)))
 
     def _forget(self, rows: int) -> None:
         """Let episodes begin in N environments."""
@@ -139,6 +136,8 @@ class HIRO:
         """(N, G) in force."""
         self._count = torch.zeros(rows, dtype=torch.int64)
         """(N,) decisions since the latest goal was set; the fields below are of these."""
+        self._shown = torch.zeros(rows, every, dtype=torch.bool)
+        self._lasted = torch.zeros(rows, every, 1, dtype=torch.int64)
         self._set = torch.zeros_like(self._goal)
         self._seen, self._acted = (torch.zeros(rows, every, size) for size in sizes)
         self._earned, self._steps = torch.zeros(rows, 1), torch.zeros(rows, 1, dtype=torch.int64)
@@ -160,45 +159,68 @@ class HIRO:
 
         What a goal earned is discounted from the time when it was set. To the lower policy no episode terminates.
         """
-        before, then = transitions["observation"], transitions["next"]
-        left = self.goals.left(self._goal, before, then["observation"])
-        demonstrated = torch.zeros(len(before), dtype=torch.bool)
-        after = {
-            "observation": torch.cat([then["observation"], left], dim=1),
-            "reward": -left.norm(dim=1, keepdim=True),
-            # An end would be worth 0, more than any way to a goal, and the policy would learn to crash.
-            "terminated": torch.zeros_like(then["terminated"]),
-        }
-        lower = {"observation": torch.cat([before, self._goal], dim=1), "demonstrated": demonstrated, "next": after}
-        kept = {name: transitions[name] for name in ("action", "steps_to_next_obs")}
-        self.lower.observe(TensorDict({**kept, **lower}, batch_size=[len(before)]))
+        before, then, shown = transitions["observation"], transitions["next"], transitions["demonstrated"]
+        left, after = self.goals.left(self._goal, before, then["observation"]), then["observation"]
+        if bool((own := ~shown).any()):
+            goals, lasted = (self._goal[own], left[own]), transitions["steps_to_next_obs"][own]
+            self._learn_lower(before[own], after[own], *goals, transitions["action"][own], lasted, shown[own])
         rows = torch.arange(len(before))
         self._seen[rows, self._count] = before
         self._acted[rows, self._count] = transitions["action"].float()
+        self._shown[rows, self._count] = shown
+        self._lasted[rows, self._count] = transitions["steps_to_next_obs"]
         self._earned += self.config.gamma**self._steps * then["reward"]
         self._steps += transitions["steps_to_next_obs"]
         self._count += 1
         self._goal = left
         over = (self._count == self.own.every) | then["done"][:, 0]
         if bool(over.any()):
+            self._learn_from_shown(after, over)
             self._store(then, over)
+
+    def _learn_lower(
+        self, before: Tensor, after: Tensor, goal: Tensor, left: Tensor, action: Tensor, lasted: Tensor, shown: Tensor
+    ) -> None:
+        """Store decisions (F,) for the lower policy, which were to reach a `goal` (F, G), of which this is `left`."""
+        then = {
+            "observation": torch.cat([after, left], dim=1),
+            "reward": -left.norm(dim=1, keepdim=True),
+            # An end would be worth 0, more than any way to a goal, and the policy would learn to crash.
+            "terminated": torch.zeros(len(before), 1, dtype=torch.bool),
+        }
+        seen = {"observation": torch.cat([before, goal], dim=1), "action": action, "steps_to_next_obs": lasted}
+        self.lower.observe(TensorDict({**seen, "demonstrated": shown, "next": then}, batch_size=[len(before)]))
+
+    def _learn_from_shown(self, last: Tensor, over: Tensor) -> None:
+        """Store what was demonstrated in the rows `over` (N,) bool, which see `last` (N, D), as ways to its ends."""
+        rows, at = torch.nonzero(self._shown & over[:, None], as_tuple=True)
+        if not len(rows):
+            return
+        following = torch.cat([self._seen[:, 1:], last[:, None]], dim=1)
+        ends = at + 1 == self._count[rows]
+        before, end = self._seen[rows, at], last[rows]
+        after = torch.where(ends[:, None], end, following[rows, at])
+        ways = self.goals.change(before, end), self.goals.change(after, end)
+        self._learn_lower(before, after, *ways, self._acted[rows, at], self._lasted[rows, at], self._shown[rows, at])
 
     def _store(self, then: TensorDictBase, over: Tensor) -> None:
         """Store the goals of the rows `over` (N,) bool, after whose latest decision things are as `then` says."""
         after = {"observation": then["observation"], "reward": self._earned, "terminated": then["terminated"]}
+        happened = torch.arange(self.own.every) < self._count[:, None]
+        shown, change = (self._shown | ~happened).all(dim=1), self.goals.change(self._seen[:, 0], then["observation"])
         goals = {
             "observation": self._seen[:, 0],
-            "action": self._set,
+            "action": torch.where(shown[:, None], change.clamp(-1.0, 1.0), self._set),
             "steps_to_next_obs": self._steps,
-            "demonstrated": torch.zeros_like(over),
+            "demonstrated": shown,
             "next": after,
             "seen": self._seen,
             "acted": self._acted,
             "count": self._count[:, None],
-            "change": self.goals.change(self._seen[:, 0], then["observation"]),
+            "change": change,
         }
         self.upper.observe(TensorDict(goals, batch_size=[len(over)])[over])
-        self._count = self._count.masked_fill(over, 0)
+        self._count, self._shown = self._count.masked_fill(over, 0), self._shown & ~over[:, None]
         self._earned, self._steps = (each.masked_fill(over[:, None], 0) for each in (self._earned, self._steps))
 
     def update(self) -> dict[str, float]:
@@ -216,7 +238,9 @@ class HIRO:
         self.upper.begin_stage(self._upper_config(none), keep_replay, keep_optimiser)
         self._forget(0)
 
-    _GOING_ON = ("_goal", "_count", "_set", "_seen", "_acted", "_earned", "_steps", "_upper_terms")
+    _GOING_ON = (
+        "_goal", "_count", "_set", "_seen", "_acted", "_shown", "_lasted", "_earned", "_steps", "_upper_terms",
+    )  # fmt: skip
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to continue, as plain data."""
