@@ -139,8 +139,8 @@ class HIROKeys:
     goals: Columns = field(default_factory=lambda: ["joint_error"])
     """Columns of the observation that goals are set in, by number or by the name of a part of it; []: all."""
     reach: Annotated[float, within(1e-6, 1e6)] = 0.5
-    """Farthest goal in a column, from its value at the time, in its unit. That of `joint_error` is π: in ten decisions a
-    joint turns by 0.56 at most, at 2 degrees a control step."""
+    """Farthest goal in a column, from its value at the time, in its unit. That of `joint_error` is π: at 2 degrees a
+    control step a joint turns by 0.56 at most in ten decisions."""
     every: Annotated[int, within(1, 1000)] = 10
     """Number of decisions after which the upper policy sets the next goal, and of updates of the lower policy for each
     of the upper."""
