@@ -18,6 +18,7 @@ from typing import Any
 import torch
 from pandas import DataFrame, Series
 
+from hrl_comfort.agents.sac import TrainingDiverged
 from hrl_comfort.analysis.intervals import SHARE, Clusters
 from hrl_comfort.analysis.tables import cell, markdown
 from hrl_comfort.benchmarks.measure import as_command, given
@@ -124,11 +125,20 @@ def _step(training: Training, policy_steps: int) -> int:
 
 
 def trained(config: TrainConfig) -> tuple[float, float]:
-    """Return the minutes of a core that a training takes, and the success share of its policy in EPISODES."""
+    """Return the minutes of a core that a training takes, and the success share of its policy in EPISODES.
+
+    The share of one that diverges is 0.
+    """
     with tempfile.TemporaryDirectory() as folder:
         began = time.process_time()
-        run = train(replace(config, output=str(Path(folder) / "run")))
+        try:
+            run: Path | None = train(replace(config, output=str(Path(folder) / "run")))
+        except TrainingDiverged as error:
+            print(f"{config.task.name}, {config.agent.name}, train_seed={config.train_seed}: {error}")
+            run = None
         minutes = (time.process_time() - began) / 60
+        if run is None:
+            return round(minutes, 3), 0.0
         asked = compose("evaluate", [f"policy={run}", *EPISODES, f"output={folder}/unused"])
         assert isinstance(asked, EvaluateConfig)
         return round(minutes, 3), float(rollout(asked).table["success"].mean())

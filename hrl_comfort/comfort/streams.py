@@ -154,11 +154,14 @@ def read_recording(config: ComfortConfig) -> Recording:
     for number, row in enumerate(rows[1:], start=2):
         try:
             moment, value = float(row[0]), row[1]
-            valid = len(row) == 2 and math.isfinite(moment) and (not entries or moment > entries[-1][0])
+            rises = moment > entries[-1][0] if entries else moment >= 0
+            valid = len(row) == 2 and math.isfinite(moment) and rises
         except (ValueError, IndexError):
             valid = False
         if not valid:
-            raise ConfigError(f"{name} line {number}: {','.join(row)[:40]!r} must be t,value with rising t in s")
+            raise ConfigError(
+                f"{name} line {number}: {','.join(row)[:40]!r} must be t,value with t in s that rise from 0"
+            )
         if entries and moment - signal.last_good_s > stall_s and entries[-1][1] != CAUTIOUS:
             entries.append((max(signal.last_good_s + stall_s, np.nextafter(entries[-1][0], math.inf)), CAUTIOUS))
         now = moment

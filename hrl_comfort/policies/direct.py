@@ -26,6 +26,7 @@ class Direct(Expert):
     """
 
     NAME = "direct"
+    """By which `policy=` chooses it."""
 
     @torch.no_grad()
     def act(self, state: State) -> Tensor:

@@ -87,6 +87,7 @@ class Expert:
     """
 
     NAME = "expert"
+    """By which `policy=` chooses it."""
 
     def __init__(self, scene: Scene, config: EnvConfig, subtask: Subtask) -> None:
         if config.robot.name not in UR_ARMS:

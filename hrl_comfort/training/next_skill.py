@@ -44,9 +44,12 @@ class NextSkill:
         self._policy = policy
 
     def observed(self, env: CellEnv, rows: Tensor) -> Tensor:
-        """Return what the policy would begin with (F, D), normalised, in the latest states of rows (F,) of `env`."""
+        """Return what the policy would begin with (F, D), normalised, in the latest states of rows (F,) of `env`.
+
+        These are as the sensors report them; of episodes that have ended, with the noise of those that begin.
+        """
         assert env.last is not None
-        state = env.last.state.rows(rows)
+        state = env.engine.episodes.observed(env.last.state).rows(rows)
         return self._policy.normaliser(self._seen.observe(state.with_(stage=torch.zeros_like(state.stage))).float())
 
     def value(self, env: CellEnv) -> NextSkillValue:

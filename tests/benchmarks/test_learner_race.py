@@ -8,6 +8,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from hrl_comfort.agents.sac import TrainingDiverged
 from hrl_comfort.benchmarks import learners
 from hrl_comfort.benchmarks.measure import as_command
 from hrl_comfort.composition.compose import compose
@@ -57,6 +58,15 @@ def test_all_learn_from_the_demonstrations_of_the_experiment_without_people_and_
         assert config.agent == replace(like.agent, **own, updates_per_policy_step=updates[name])
         assert (config.human.motion, config.safety.kind) == ("none", "none") and config.reward == like.reward
         assert (config.train_seed, config.episode_seed) == (3, 3)
+
+
+def test_a_training_that_diverges_has_no_success(monkeypatch, capsys) -> None:
+    def diverges(config: TrainConfig) -> Path:
+        raise TrainingDiverged("training diverged at update 7: critic_loss is nan")
+
+    monkeypatch.setattr(learners, "train", diverges)
+    assert learners.trained(learners.config_of("pick", "tqc", 3, 500))[1] == 0.0
+    assert "pick, tqc, train_seed=3: training diverged at update 7" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("words", [[], ["table.csv", "two", "1"], ["table.csv", "2"]])

@@ -266,6 +266,7 @@ def test_a_recording_is_replayed_in_every_episode_with_its_gaps(tmp_path: Path) 
         "time,level\n0,1\n",
         "t,value\n1,2\n1,3\n",
         "t,value\nx,2\n",
+        "t,value\n-1,2\n0,3\n",
         "t,value\n0,1,2\n",
         "t,value\n0,1\n\n1,2\n",
         't,value\n0,1\n1,"2\n2,3\n',

@@ -5,14 +5,18 @@ from __future__ import annotations
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import torch
 
+from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError
 from hrl_comfort.envs.torchrl import CellEnv
+from hrl_comfort.files.run_config import environment
 from hrl_comfort.training.collector import SkillCollector, make_collector
+from hrl_comfort.training.next_skill import NextSkill
 from hrl_comfort.training.t_star import StartDiscriminator, TerminalStates
 from hrl_comfort.training.trainer import Training, train
 from tests.point_env import PointEnv, small_config
@@ -70,6 +74,19 @@ def test_the_reward_of_a_stored_success_is_what_the_discriminator_says_now(tmp_p
         for _ in range(30):
             discriminator.learn(torch.randn(16, 2))
     assert abs(seen[1] - seen[0]) > 0.1
+
+
+def test_the_next_skill_sees_terminal_states_as_the_sensors_report_them() -> None:
+    skill = object.__new__(NextSkill)
+    skill._policy = SimpleNamespace(normaliser=lambda seen: seen)
+    skill._seen = SimpleNamespace(observe=lambda state: state.joint_pos)
+    for noise in (0.0, 2.0):
+        words = ["task=pick", f"randomise.joint_noise_deg=[{noise},{noise}]"]
+        env = CellEnv(environment(compose("train", words)), 4, 0)
+        env.step(env.reset().set("action", torch.zeros(4, 6)))
+        off = skill.observed(env, torch.tensor([1, 3])) - env.last.state.joint_pos[[1, 3]].float()
+        assert (off != 0).all() if noise else (off == 0).all()
+        env.close()
 
 
 class Deaf:
