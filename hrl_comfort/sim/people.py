@@ -18,14 +18,13 @@ from hrl_comfort import humans
 from hrl_comfort.compiled import contiguous
 from hrl_comfort.config import HumanConfig
 from hrl_comfort.instants import chosen, ended_early
-from hrl_comfort.safety import kernels
+from hrl_comfort.safety import kernels, people_kernels
 from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry
+from hrl_comfort.safety.people_kernels import OVERLAP_M
 from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.scene.human import BODY
 from hrl_comfort.scene.workcell import Scene
-from hrl_comfort.sim import people_kernels
 from hrl_comfort.sim.controls import limbs_of
-from hrl_comfort.sim.people_kernels import OVERLAP_M
 from hrl_comfort.sim.variation.disturbance import Disturbance
 
 Array = NDArray[np.float64]

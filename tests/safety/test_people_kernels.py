@@ -16,7 +16,7 @@ from hrl_comfort.scene.human import LIMBS
 from hrl_comfort.scene.workcell import Scene, scene_of
 from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.people import Crowd, stop_at_contact
-from tests.sim import meeting
+from tests.safety import meeting
 
 
 @pytest.mark.parametrize("rows", [1, 1000])
