@@ -33,11 +33,13 @@ def remake(name: str, entry: Entry, train: bool, jobs: int) -> None:
       jobs: commands of a phase that run at a time.
 
     Raises:
-      ConfigError: a file has uncommitted changes, or a command fails.
+      ConfigError: a file has uncommitted changes, a policy is not kept and is not to be trained, or a command fails.
     """
     if entry.by_hand:
         raise ConfigError(f"remake={name}: made by hand: {entry.by_hand}")
     made = need_clean_tree()
+    if not train and (gone := [each for each in policies_of(entry) if not (ROOT / each).exists()]):
+        raise ConfigError(f"remake={name}: {gone[0]} is not kept; say train=true, which trains it again")
     lines = []
     for phase in PHASES if train else PHASES[1:]:
         commands = entry.commands(phase)
@@ -68,6 +70,12 @@ def run(words: Sequence[str], code: Path | None = None) -> None:
     done = subprocess.run([sys.executable, *program], cwd=ROOT, env={**os.environ, **given}, stdout=subprocess.DEVNULL)
     if done.returncode:
         raise ConfigError(f"{' '.join(words)} failed")
+
+
+def policies_of(entry: Entry) -> list[str]:
+    """Return the folders and files in `runs` of the policies that the evaluations of an entry name."""
+    named = [word.split("=", 1) for words in entry.commands("evaluate") for word in words if "=" in word]
+    return [value for key, value in named if (key == "policy" or key.startswith("policies.")) and value[:5] == "runs/"]
 
 
 def output_of(words: Sequence[str]) -> str:
