@@ -1,4 +1,4 @@
-"""How people meet an arm, by numpy: the definition of `safety.people_kernels`."""
+"""People who meet an arm, by numpy: the definition of `safety.people_kernels`."""
 
 from __future__ import annotations
 
