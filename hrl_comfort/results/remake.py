@@ -75,7 +75,8 @@ def run(words: Sequence[str], code: Path | None = None) -> None:
 def policies_of(entry: Entry) -> list[str]:
     """Return the folders and files in `runs` of the policies that the evaluations of an entry name."""
     named = [word.split("=", 1) for words in entry.commands("evaluate") for word in words if "=" in word]
-    return [value for key, value in named if (key == "policy" or key.startswith("policies.")) and value[:5] == "runs/"]
+    of_policies = [value for key, value in named if key == "policy" or key.startswith("policies.")]
+    return [value for value in of_policies if value.startswith("runs/")]
 
 
 def output_of(words: Sequence[str]) -> str:

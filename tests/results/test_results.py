@@ -244,11 +244,13 @@ def test_nothing_is_published_from_a_tree_with_uncommitted_changes(
             publish()
 
 
-def test_a_result_whose_policies_are_not_kept_is_refused_before_anything_is_replaced(checkout: Path) -> None:
-    entry = EVALUATED.model_copy(update={"seeds": [0, 1]})
-    with pytest.raises(ConfigError, match=r"^remake=made: runs/p0 is not kept; say train=true, which trains it again$"):
-        remake.remake("made", entry, train=False, jobs=1)
-    assert (checkout / "runs" / "made.csv").is_file()
+def test_a_result_whose_policies_are_not_kept_is_refused_before_anything_runs(
+    checkout: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(remake, "run", lambda words: pytest.fail(f"{words} ran"))
+    (checkout / "runs" / "p0").mkdir()
+    with pytest.raises(ConfigError, match=r"^remake=made: runs/p1 is not kept; say train=true, which trains it again$"):
+        remake.remake("made", EVALUATED, train=False, jobs=1)
 
 
 def test_a_result_is_made_anew_by_a_module_that_would_go_on_with_what_is_there(checkout: Path) -> None:
