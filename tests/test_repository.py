@@ -19,7 +19,7 @@ from hrl_comfort.tasks import Start
 
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "runs" / "reference"
-MAX_FILES, MAX_MB, MAX_POLICY_MB = 350, 30, 0.45
+MAX_FILES, MAX_MB, MAX_POLICY_MB = 375, 27, 0.45
 CONFIGS = sorted(REFERENCE.rglob("config.yaml"))
 POLICIES = sorted(REFERENCE.rglob("policy.pt"))
 ENTRIES = sorted(REFERENCE.rglob("benchmark.json"))

@@ -31,8 +31,7 @@ def is_kept(line: dict[str, str], commands: set[tuple[str, ...]]) -> bool:
     """
     policies = [policy.rpartition("@") for policy in line["policy"].split() if "@" in policy]
     return words_of(line["command"]) in commands and all(
-        not (ROOT / name).exists() or ledger.hash_of(str(ROOT / name)).endswith(f"@{digest}")
-        for name, _, digest in policies
+        ledger.hash_of(str(ROOT / name)) in (str(ROOT / name), f"{ROOT / name}@{digest}") for name, _, digest in policies
     )
 
 

@@ -20,7 +20,8 @@ from hrl_comfort.files.tables import read_table
 from hrl_comfort.results.manifest import PHASES, Entry
 from hrl_comfort.results.record import Record, need_clean_tree, write_record
 
-PACKED: Any = {"compression": "zstd", "compression_level": 19}
+PACKED: Any = {"compression": "zstd", "compression_level": 19, "store_schema": False, "write_statistics": False}
+"""Options of parquet. Arrow's own copy of the schema would be half of the file of a small evaluation."""
 
 
 def remake(name: str, entry: Entry, train: bool, jobs: int) -> None:

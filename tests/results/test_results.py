@@ -218,6 +218,19 @@ def test_looks_are_published_with_their_results(tmp_path: Path, monkeypatch: pyt
     assert found["look"].tolist() == ["b", "d"] and found["success"].tolist()[1] == 0.5
 
 
+def test_a_look_is_kept_until_another_policy_lies_in_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(looks, "ROOT", tmp_path)
+    line = {"command": "hrl-comfort evaluate policy=p", "policy": "p@0123456789abcdef"}
+    commands = {looks.words_of(line["command"])}
+    assert looks.is_kept(line, commands)
+    (tmp_path / "p" / "test").mkdir(parents=True)
+    assert looks.is_kept(line, commands), "the folder holds an evaluation alone"
+    (tmp_path / "p" / "policy.pt").write_bytes(b"another")
+    assert not looks.is_kept(line, commands)
+
+
 def test_every_published_look_is_of_a_command_of_the_manifest() -> None:
     lines = pd.read_csv(record.LEDGER, dtype=str, keep_default_na=False)
     assert list(lines.columns) == list(ledger.HEADER)
