@@ -30,9 +30,9 @@ def is_kept(line: dict[str, str], commands: set[tuple[str, ...]]) -> bool:
     Policies that are not kept there cannot differ from it.
     """
     policies = [policy.rpartition("@") for policy in line["policy"].split() if "@" in policy]
-    return words_of(line["command"]) in commands and all(
-        ledger.hash_of(str(ROOT / name)) in (str(ROOT / name), f"{ROOT / name}@{digest}") for name, _, digest in policies
-    )
+    files = {str(ROOT / name): digest for name, _, digest in policies}
+    kept = all(ledger.hash_of(file) in (file, f"{file}@{digest}") for file, digest in files.items())
+    return kept and words_of(line["command"]) in commands
 
 
 def merge() -> list[str]:
