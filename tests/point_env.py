@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
@@ -16,6 +18,7 @@ from torchrl.envs import EnvBase
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import TrainConfig
 from hrl_comfort.training.collector import SkillCollector
+from hrl_comfort.training.trainer import train
 
 LIMIT = 20
 FLAGS = ("success", "contact", "unsafe_contact", "other_collision", "terminated", "truncated", "done")
@@ -149,3 +152,10 @@ def small_config(output: Path, *overrides: str, **changes: Any) -> TrainConfig:
 
 def make_points(config: TrainConfig, stop_after: int | None = None, kill: bool = False) -> SkillCollector:
     return SkillCollector(config.agent, PointEnv(config.engine.num_envs, config.episode_seed, stop_after, kill))
+
+
+def interrupted(folder: Path, calls: int, *overrides: str, make: Callable[..., SkillCollector] = make_points) -> Path:
+    """Return the folder of a training that stopped after a number of decisions."""
+    with pytest.raises(Stopped):
+        train(small_config(folder, *overrides), lambda config: make(config, calls))
+    return folder

@@ -17,7 +17,7 @@ from hrl_comfort.humans import body
 from hrl_comfort.humans.motions.live import HELD, CheckedPoses, pose_source
 from hrl_comfort.streams import UdpStream
 from tests.humans.around import around
-from tests.humans.test_humans import HUMAN, no_discs
+from tests.humans.paper import HUMAN, no_discs
 
 LIVE = replace(HUMAN, motion="live", speed_m_s=1.6)
 ARRIVING: list[object] = []
