@@ -26,6 +26,8 @@ LEVELS = "policy=runs/reference/comfort_shift/levels0"
 SHIELDED = "policy=runs/reference/shielded/seed2"
 HEIGHT_PX, WIDTHS_PX = 700, {"desktop": 1000, "phone": 360}
 GAP_PX = 12
+SEEN_M = 0.4
+"""x up to which the panel hides nobody near the arm."""
 SHOWN = "getComputedStyle(document.querySelector('canvas[data-engine]') ?? document.body).opacity === '1'"
 """viser lets the scene appear slowly."""
 
@@ -62,11 +64,16 @@ def live(browser: Any, words: list[str], devices: list[str], act: Callable[[Live
 
 
 def at_level(studio: LiveStudio) -> None:
-    """Play at level 3 until the person is near."""
+    """Play at level 3 until the person is near, and not behind the panel."""
     session, loop = studio.sessions[0], studio.loop
+
+    def seen_near() -> bool:
+        left = float(session.state.humans_pos[0, 0, 0]) < SEEN_M
+        return int(session.state.steps) > 100 and (session.distance_m or 9.0) < 0.8 and left
+
     loop.ask(lambda: studio.panel.set_level(3))
     loop.ask(lambda: loop.set_running(True))
-    until(lambda: int(session.state.steps) > 100 and (session.distance_m or 9.0) < 0.8, "a person near by")
+    until(seen_near, "a person near by")
     studio.panel.ask(lambda: loop.set_running(False))
 
 
