@@ -114,7 +114,7 @@ def first_episodes(
         run(again, code)
         parts = [path / "episodes.csv" for path in evaluations_of(again)]
         files = [folder / output / TABLE] if kind(words) == TOPS else parts
-        found += [(" ".join(words), read(path)) for path in files]
+        found += [(" ".join(words), read(path, folder)) for path in files]
     return found
 
 
@@ -157,10 +157,12 @@ def shortened(words: Sequence[str], output: str) -> list[str]:
     return [*kept, f"output={output}"]
 
 
-def read(file: Path) -> DataFrame:
-    """Return the episodes that have just been written."""
+def read(file: Path, folder: Path) -> DataFrame:
+    """Return the episodes that have just been written, policies trained in `folder` named from there."""
     rows = read_table(file)
     assert rows is not None, f"{file} has no episodes"
+    if "policy" in rows:
+        rows["policy"] = rows["policy"].str.replace(f"{folder}/", "")
     return rows
 
 

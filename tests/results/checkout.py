@@ -47,8 +47,7 @@ class Ran:
         self.words.append(words)
         self.code.append((code / "code.py").read_text(encoding="utf-8").strip())
         if words[1] == "evaluate":
-            output = Path(remake.output_of(words))
+            output, policy = Path(remake.output_of(words)), words[2].removeprefix("policy=")
             output.mkdir(parents=True)
-            (output / "episodes.csv").write_text(
-                f"episode,comfort_level,success\n0,,{self.code[-1]}\n", encoding="utf-8"
-            )
+            rows = f"episode,comfort_level,policy,success\n0,,{policy},{self.code[-1]}\n"
+            (output / "episodes.csv").write_text(rows, encoding="utf-8")
