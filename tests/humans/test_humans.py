@@ -1,4 +1,4 @@
-"""How people move: their bounds, motions, gait and recordings."""
+"""People move within their bounds, by their motion, gait or recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where people begin, and where they are observed."""
+"""People begin at their spawn points or round them, and are observed there or clipped."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What evaluations say of comfort: levels, failures, discomfort."""
+"""Evaluations measure comfort: levels, failures, discomfort."""
 
 from __future__ import annotations
 
