@@ -29,7 +29,7 @@ from hrl_comfort.benchmarks.suite import check_steps
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CellConfig, ConfigError, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
 from hrl_comfort.config.checks import import_object
-from hrl_comfort.config.hierarchy import ORACLE
+from hrl_comfort.config.hierarchy import LOOKAHEAD, ORACLE
 from hrl_comfort.evaluation.ledger import open_split
 from hrl_comfort.files.run_config import environment, load_config
 from hrl_comfort.files.tables import read_table, write_table
@@ -37,7 +37,7 @@ from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.decision import Choose, Decision, Top
 from hrl_comfort.hierarchy.executor import OptionExecutor, execute
 from hrl_comfort.hierarchy.options import OptionTable
-from hrl_comfort.hierarchy.oracle import Judged, Oracle
+from hrl_comfort.hierarchy.oracle import FUTURES, Judged, Oracle
 from hrl_comfort.hierarchy.tops import TOPS
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.sim.engine import Engine
@@ -52,6 +52,8 @@ WORDS = (
 """The world that is measured, and scripted skills behind the shield at its one level, in words of `evaluate`."""
 IDLE = "idle"
 RULES = ("random", "nearest", "free", "patient", "due", "greedy")
+LOOKING = {ORACLE: 0, LOOKAHEAD: FUTURES}
+"""Tops that look ahead, and the number of futures that they draw."""
 JUDGED = 12
 """Number of shifts, the first, in which the oracle judges every choice, for which it tries every option."""
 RULE = "due"
@@ -78,8 +80,9 @@ def measure(
 ) -> Iterator[DataFrame]:
     """Yield a row for each top and shift so far, of a learned one by its learner and with its training seed.
 
-    Fixed orders, and then all others that are shown, work side by side; a flat policy works alone, and takes the
-    objects as they are numbered. Tops of rows that are `done` already do not work again, but for one, for comparison.
+    Fixed orders, and then all others that are shown, work side by side. `lookahead` works alone, and so does each flat
+    policy, which takes the objects as they are numbered. Tops of rows that are `done` already do not work again, but
+    for one, for comparison.
 
     Raises:
       ConfigError: what is `done` is of other shifts, or of another world.
@@ -100,7 +103,7 @@ def measure(
         print(f"{name.removeprefix(f'{LEARNED} ')} is not measured: {learner} of train_seed={seed} is in the file")
     rules = [name for name in RULES if name not in set(done["top"])]
     tops = rules + [name for name in names if name not in flat]
-    told = {**{name: (name, pd.NA) for name in rules}, **names}
+    told = {**{name: (name, pd.NA) for name in (*rules, LOOKAHEAD)}, **names}
 
     def with_told(rows: DataFrame) -> DataFrame:
         learners, seeds = zip(*(told[name] for name in rows["top"]), strict=True)
@@ -110,6 +113,8 @@ def measure(
     yield done
     if tops:
         yield (done := with_told(_judged(config, look.entries, tops)))
+    if LOOKAHEAD not in set(done["top"]):
+        yield (done := with_told(_judged(config, look.entries, [LOOKAHEAD])))
     for name in [name for name in names if name in flat]:
         yield (done := with_told(_alone(config, look.entries, name)))
     look.completed()
@@ -150,15 +155,17 @@ def _side_by_side(config: EvaluateConfig, entries: EvaluationSet, names: list[st
     every = entries.at(np.tile(np.arange(shifts), len(names)))
     engine = make_engine(environment(config), len(every.episode), 0, every)
     executor, _ = make_executor(config, None, engine, 0)
-    oracle = Oracle(engine, executor)
-    tops = [oracle if name == ORACLE else top_of(name, config, executor.table) for name in names]
+    tops = [
+        Oracle(engine, executor, LOOKING[name]) if name in LOOKING else top_of(name, config, executor.table)
+        for name in names
+    ]
 
     def choose(decision: Decision) -> torch.Tensor:
         every = torch.stack([top(decision) for top in tops])
         return every[torch.arange(len(tops)).repeat_interleave(shifts), torch.arange(shifts * len(tops))]
 
-    top = Top("all", choose, together=ORACLE in names)
-    rows = worked(engine, executor, Judged(top, oracle) if judged else top, np.repeat(names, shifts))
+    top = Top("all", choose, together=not LOOKING.keys().isdisjoint(names))
+    rows = worked(engine, executor, Judged(top, Oracle(engine, executor)) if judged else top, np.repeat(names, shifts))
     return DataFrame(rows).assign(shift=np.tile(np.arange(shifts), len(names)))
 
 
@@ -225,7 +232,7 @@ def table(rows: DataFrame) -> str:
     """
     of = {str(name): group.sort_values(["seed", "shift"]) for name, group in rows.groupby("top", sort=False)}
     best = max((name for name in of if name.startswith(FIXED)), key=lambda name: float(of[name]["return"].mean()))
-    places = {name: place for place, name in enumerate([IDLE, *RULES, best])}
+    places = {name: place for place, name in enumerate([IDLE, *RULES, best, LOOKAHEAD])}
     places[ORACLE] = len(places) + len(of)
     shown = [name for name in of if name == best or not name.startswith(FIXED)]
     shown.sort(key=lambda name: (places.get(name, len(places)), name))

@@ -11,7 +11,7 @@ from hrl_comfort.config.cell import CellConfig, ConnectionConfig, EngineConfig, 
 from hrl_comfort.config.checks import ConfigError, between, choice, unique, within
 from hrl_comfort.config.comfort import ComfortConfig
 from hrl_comfort.config.constants import PREGRASP, SPLITS
-from hrl_comfort.config.hierarchy import ORACLE, MetaControllerConfig
+from hrl_comfort.config.hierarchy import LOOKAHEAD, ORACLE, STEADY, MetaControllerConfig, check_ahead
 from hrl_comfort.config.human import HumanConfig
 from hrl_comfort.config.safety import RandomiseConfig, SafetyConfig
 from hrl_comfort.config.task import SORTING, RewardConfig, TaskConfig, check_objects
@@ -155,6 +155,9 @@ class EvaluateConfig(EnvConfig):
             )
         if self.policies and not chained:
             raise ConfigError("policies.* go with a meta-controller: meta_controller=nearest")
+        if self.meta_controller.name == LOOKAHEAD:
+            motions = {name for each in self.human.everyone for name in (each.motion, *each.mixture)}
+            check_ahead(motions, self.comfort.source, self.disturbance)
         if self.regret and not chained:
             raise ConfigError("regret=true judges the choices of a meta-controller; give one, or regret=false")
         several = f"checkpoints={self.checkpoints}"
@@ -179,15 +182,15 @@ class EvaluateConfig(EnvConfig):
         for key, default in ("checkpoints", "none"), ("levels", []), ("terminal_states", None), ("regret", False):
             if (value := getattr(self, key)) != default:
                 raise ConfigError(f"{key}={value} is for hrl-comfort evaluate; leave it out")
-        if self.meta_controller.name == ORACLE:
-            raise ConfigError("meta_controller=oracle looks ahead in simulation alone; choose another")
+        if (name := self.meta_controller.name) in (ORACLE, LOOKAHEAD):
+            raise ConfigError(f"meta_controller={name} looks ahead in simulation alone; choose another")
 
     def _check_levels(self) -> None:
         said, source = f"levels={list(self.levels)}", self.comfort.source
         for level in self.levels:
             between("levels", level, 1, self.comfort.levels)
-        if source not in ("none", "fixed", "random"):
-            raise ConfigError(f"{said} does not go with comfort.source={source}; choose none, fixed or random")
+        if source not in STEADY:
+            raise ConfigError(f"{said} does not go with comfort.source={source}; choose {', '.join(STEADY)}")
         if self.terminal_states is not None:
             raise ConfigError(f"{said} does not go with terminal_states=; choose a comfort.source")
 

@@ -12,8 +12,10 @@ from hrl_comfort.config.task import SORTING
 RULES = ("nearest", "free", "due", "greedy", "cautious", "patient")
 """Built-in meta-controllers that work, by a function of a decision."""
 TOPS = (*RULES, "idle", "fixed", "random", "learned")
-ORACLE = "oracle"
-"""Built-in meta-controllers; the oracle knows what people will do."""
+ORACLE, LOOKAHEAD = "oracle", "lookahead"
+"""Built-in meta-controllers; the oracle knows what people will do, `lookahead` how they walk."""
+STEADY = ("none", "fixed", "random")
+"""Sources of comfort levels that do not change within an episode."""
 META_OBSERVATIONS = ("default", "jobs")
 OBSERVED = {"default": (18, 9), "jobs": (15, 12)}
 """Numbers that a top observes of all, and of each object, by META_OBSERVATIONS."""
@@ -28,7 +30,7 @@ OPTION_KEYS: dict[str, Any] = {
 class MetaControllerConfig:
     """The meta-controller, which sequences frozen policies."""
 
-    name: Annotated[str, named("meta_controller.name", "none", *TOPS, ORACLE)]
+    name: Annotated[str, named("meta_controller.name", "none", *TOPS, ORACLE, LOOKAHEAD)]
     """A built-in controller, one that an installed package offers as an entry point (both by name), or
     `package.module:name`; `none` runs the one policy of `policy=`."""
     options: list[str]
@@ -183,3 +185,16 @@ class MetaControllerAgentConfig:
         if self.name in TOP_LEARNERS:
             own: Any = own_keys("meta_controller_agent", self.name, TOP_LEARNERS[self.name], self.own)
             object.__setattr__(self, "own", asdict(own))  # with its defaults, so that config.yaml has all
+
+
+def check_ahead(motions: set[str], source: str, disturbance: str) -> None:
+    """Raise ConfigError if `lookahead` would know what lies ahead: of people, comfort levels or disturbances."""
+    for said, known, remedy in (
+        ("human.motion", motions & {"recorded", "live"}, "another motion"),
+        ("comfort.source", {source} - {*STEADY}, ", ".join(STEADY)),
+        ("disturbance", {disturbance} - {"none"}, "none"),
+    ):
+        if known:
+            raise ConfigError(
+                f"{said}={min(known)}: meta_controller={LOOKAHEAD} would know ahead what it does; choose {remedy}"
+            )

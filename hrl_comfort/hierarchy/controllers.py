@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from hrl_comfort.config import POLICIES, SORTING, ConfigError, EvaluateConfig
-from hrl_comfort.config.hierarchy import ORACLE
+from hrl_comfort.config.hierarchy import LOOKAHEAD, ORACLE
 from hrl_comfort.hierarchy.decision import Top
 from hrl_comfort.hierarchy.executor import OptionExecutor
 from hrl_comfort.hierarchy.options import OptionTable, chain, skill
-from hrl_comfort.hierarchy.oracle import Oracle
+from hrl_comfort.hierarchy.oracle import FUTURES, Oracle
 from hrl_comfort.hierarchy.own_options import with_own
 from hrl_comfort.hierarchy.sort import recovery, sorting_table
 from hrl_comfort.hierarchy.tops import in_order, make_top
@@ -40,9 +40,9 @@ def make_executor(
     else:
         table, retries = _chain(config, engine, seed), meta_controller.retries
     executor = OptionExecutor(table, episodes, retries)
-    if meta_controller.name == ORACLE:
-        oracle = Oracle(engine, executor)
-        return executor, Top(ORACLE, oracle, together=True, values=oracle.values)
+    if (name := meta_controller.name) in (ORACLE, LOOKAHEAD):
+        oracle = Oracle(engine, executor, FUTURES if name == LOOKAHEAD else 0)
+        return executor, Top(name, oracle, together=True, values=oracle.values)
     return executor, make_top(config, table, seed)
 
 

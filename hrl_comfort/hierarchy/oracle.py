@@ -1,7 +1,9 @@
-"""An oracle that looks ahead: it tries every option in copies of the cells, which know what people will do.
+"""Tops that look ahead: they try every option in copies of the cells.
 
 The value of an option is the return of the next HORIZON_S if it is chosen now and the rule `due` chooses later. The
-copies are exact, random numbers included: the oracle foresees what no top can know, and nobody reaches a regret of 0.
+copies of the oracle are exact, random numbers included: it foresees what no top can know, and nobody reaches a regret
+of 0. Those of `lookahead` have futures of their own: it knows how people walk, and not what they will do (Tesauro and
+Galperin 1996, On-line policy improvement using Monte-Carlo search, NIPS 9).
 """
 
 from __future__ import annotations
@@ -18,23 +20,27 @@ from hrl_comfort.policies.remembering import Remembering
 from hrl_comfort.sim.engine import Engine
 
 HORIZON_S = 30.0
-"""Time for which the oracle looks ahead, s."""
+"""Time for which both look ahead, s."""
+FUTURES = 8
+"""Futures over whose returns `lookahead` takes the mean."""
 
 
 class Oracle:
     """Values of the options of the cells of `engine`, run by `executor`.
 
+    With `futures` above 0, the means over so many futures that are drawn for each decision.
+
     Raises:
       ConfigError: a policy remembers: it would take what its copies did for what it did.
     """
 
-    def __init__(self, engine: Engine, executor: OptionExecutor) -> None:
+    def __init__(self, engine: Engine, executor: OptionExecutor, futures: int = 0) -> None:
         if names := [each.name for each in executor.table.options if isinstance(each.policy, Remembering)]:
             raise ConfigError(
                 f"the policy of {names[0]} remembers, and the oracle cannot try it in copies; give meta_controller "
                 "another top, and regret=false"
             )
-        self._engine, self.executor = engine, executor
+        self._engine, self.executor, self._futures = engine, executor, futures
         self._latest: tuple[Decision, Tensor] | None = None
         """The decision judged last, and its values: they take long."""
 
@@ -62,7 +68,15 @@ class Oracle:
 
     def _returns(self, rows: Tensor, tried: Tensor) -> Tensor:
         """Return the returns (r,) of copies of `rows` (r,) that begin with the options `tried` (r,)."""
-        engine = self._engine.copies(rows)
+        if not self._futures:
+            return self._worked(rows, tried, None)
+        futures = torch.arange(self._futures).repeat_interleave(len(rows))
+        every = self._worked(rows.repeat(self._futures), tried.repeat(self._futures), futures)
+        return every.reshape(self._futures, -1).mean(dim=0)
+
+    def _worked(self, rows: Tensor, tried: Tensor, futures: Tensor | None) -> Tensor:
+        """Return the returns as `_returns` does, in `futures` (r,) if they are given."""
+        engine = self._engine.copies(rows, futures)
         executor = self.executor.copies(engine.episodes, rows)
         assert engine.episodes.state is not None
         end = engine.episodes.state.steps + round(HORIZON_S / CONTROL_STEP_S)

@@ -17,6 +17,7 @@ from hrl_comfort.scene.workcell import Scene, scene_of
 from hrl_comfort.sim.episodes import Episodes
 from hrl_comfort.sim.physics import Physics, Rollout
 from hrl_comfort.sim.step_result import StepResult
+from hrl_comfort.sim.variation.futures import redraw
 from hrl_comfort.tasks import State
 
 Array = NDArray[np.float64]
@@ -107,10 +108,16 @@ class Engine:
         self.physics.close()
         self.episodes.source.close()
 
-    def copies(self, rows: Tensor) -> Engine:
-        """Return an engine of r cells that go on as those of `rows` (r,) int64 would, to the end of their episodes."""
+    def copies(self, rows: Tensor, futures: Tensor | None = None) -> Engine:
+        """Return an engine of r cells that go on as those of `rows` (r,) int64 would, to the end of their episodes.
+
+        With `futures` (r,) int64 as they might; see `sim.variation.futures`.
+        """
         engine = Engine(self.episodes.config, len(rows), 0, **self._alike)
         engine.load_state_dict(of_rows(self.state_dict(), rows))
+        if futures is not None:
+            assert engine.episodes.state is not None
+            redraw(engine.episodes.draw, engine.episodes.state.steps.numpy(), futures.numpy())
         return engine
 
     def state_dict(self) -> dict[str, Any]:

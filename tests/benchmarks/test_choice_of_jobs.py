@@ -97,7 +97,7 @@ def test_all_that_work_but_fixed_orders_that_are_not_the_best_are_told_their_reg
     best = max(
         (name for name in rows["top"] if "fixed" in name), key=lambda name: rows[rows["top"] == name]["return"].sum()
     )
-    shown = ["idle", *choice.RULES, best, "oracle"]
+    shown = ["idle", *choice.RULES, best, *choice.LOOKING]
     assert set(rows[rows["regret"].notna()]["top"]) == {*shown} - {"idle"} and not (everything["regret"] < 0).any()
     of = rows.set_index("top")
     assert (of.loc[shown[1:], "regret"] >= 0).all() and (of.loc["oracle", "regret"] == 0).all()

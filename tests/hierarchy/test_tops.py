@@ -19,7 +19,7 @@ from hrl_comfort.agents.tops.ppo import PPO
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.config.checks import plugins
-from hrl_comfort.config.hierarchy import ORACLE
+from hrl_comfort.config.hierarchy import LOOKAHEAD, ORACLE
 from hrl_comfort.config.overrides import choices
 from hrl_comfort.deploy.export import export
 from hrl_comfort.evaluation.rollout import rollout
@@ -154,7 +154,7 @@ def decisions(asked: EvaluateConfig) -> tuple[Top, list[Decision]]:
 
 
 def test_every_top_is_a_choice_of_its_group() -> None:
-    assert set(choices("meta_controller")) == {"none", ORACLE, *TOPS}
+    assert set(choices("meta_controller")) == {"none", ORACLE, LOOKAHEAD, *TOPS}
 
 
 @pytest.mark.parametrize("name", [*TOPS, "deciders:first", "deciders:Turns", "turns", "away:away"])

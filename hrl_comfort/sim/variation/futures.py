@@ -1,0 +1,25 @@
+"""What might lie ahead in an episode: people walk, and objects and orders arrive, by other random numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_comfort.sim.episode_sampler import Draw
+from hrl_comfort.sim.variation.random_streams import random_stream
+
+FUTURE_STREAM = 64
+"""Stream of random numbers of futures, beside those of `sim.episode_sampler`."""
+
+
+def redraw(draw: Draw, steps: NDArray[np.int64], futures: NDArray[np.int64]) -> None:
+    """Let the rest of episodes of N cells, which are at `steps` (N,), be that of the `futures` (N,).
+
+    Cells at one step of one episode have the same future of a number. Who people are stays.
+    """
+    for row, (now, future) in enumerate(zip(steps.tolist(), futures.tolist(), strict=True)):
+        rng = random_stream(int(draw.key[row]), (FUTURE_STREAM << 48) + (now << 16) + future)
+        later = draw.noise[row, now:]
+        later[:] = rng.random(later.shape)
+        order = rng.permutation(len(draw.due[row]))
+        draw.arriving[row], draw.due[row] = draw.arriving[row, order], draw.due[row, order]
