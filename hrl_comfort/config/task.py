@@ -51,8 +51,8 @@ class TaskConfig:
     `comfort.beta` is above 0, the limit is multiplied by `comfort.levels` / level (not in `shift`)."""
     max_option_steps: Annotated[int, within(1, 100_000)]
     """Control steps after which an option of a chain is preempted, unless `meta_controller.time_limit_steps` is set.
-    The default is 100 for `sort` and 400 for `shift`. If `comfort.source` is not `none` and `comfort.beta` is above 0,
-    the limit is multiplied by `comfort.levels` / level."""
+    The default is 500, and 400 for `sort`, `shift` and `kitting`. If `comfort.source` is not `none` and `comfort.beta`
+    is above 0, the limit is multiplied by `comfort.levels` / level."""
     action_repeat: Annotated[int, within(1, 100)]
     """Control steps in a decision, which is one call of the policy."""
     max_step_deg: Annotated[float, within(0.01, 3.6)]

@@ -2,14 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
-from numpy.typing import NDArray
-
 from hrl_comfort.config import HumanConfig
 from hrl_comfort.humans.motions import bounds
-from hrl_comfort.humans.walk import Walk
 
 RETREAT_STEPS = 100
 """Control steps of a retreat, 2 s; at its end people stand (`kernels.WAIT_STEPS`)."""
@@ -17,13 +11,6 @@ SPEED_M_S, ACCELERATION_M_S2 = 0.5, 2.0
 """Of a step backwards, about half a metre in all. Chosen, not measured."""
 STAYING = ("adversary", "live", "recorded")
 """Motions of people who stay where they touch the arm, or do as their source says."""
-
-
-def begin_retreat(walk: Walk, touching: NDArray[np.int64]) -> Walk:
-    """Return `walk` with the retreats of the rows `touching` at their beginning."""
-    left = walk.retreat.copy()
-    left[touching] = RETREAT_STEPS
-    return replace(walk, retreat=left)
 
 
 def retreat_limits(config: HumanConfig) -> tuple[float, float]:

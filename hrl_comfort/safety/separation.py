@@ -81,12 +81,6 @@ class Separation:
         apart, _ = self.pairs(angles, np.zeros_like(angles), limbs)
         return apart.transpose(2, 0, 1) <= TOUCH_M
 
-    def closing_speed(self, angles: Array, velocity: Array, limbs: Array) -> Array:
-        """Return the speed (N,) m/s at which the arm's point nearest to the person moves towards it; see `pairs`."""
-        apart, speeds = self.pairs(angles, velocity, limbs)
-        nearest = apart.reshape(-1, len(angles)).argmin(axis=0)
-        return np.take_along_axis(speeds.reshape(-1, len(angles)), nearest[None], axis=0)[0]
-
     def pairs(self, angles: Array, velocity: Array, limbs: Array) -> tuple[Array, Array]:
         """Return the distance (C, P, N) m of each pair of capsules, and how fast (C, P, N) m/s the arm's closes it.
 

@@ -78,7 +78,7 @@ def test_episodes_go_on_exactly_from_a_saved_state(world: str) -> None:
 
 @pytest.mark.parametrize("world", WORLDS)
 def test_an_evaluation_is_that_of_one_process(world: str) -> None:
-    words = (*SKILLS, "meta_controller=nearest", "task.max_option_steps=400", "task.max_episode_steps=120")
+    words = (*SKILLS, "meta_controller=nearest", "task.max_episode_steps=120")
     one, two = (rollout(asked(world, *words, "episodes=2", "record=true", f"engine.processes={n}")) for n in (1, 2))
     assert one.table.equals(two.table)
     assert one.options == two.options and one.paths == two.paths

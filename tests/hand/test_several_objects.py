@@ -18,7 +18,7 @@ from hrl_comfort.sim.hand.arrivals import Arrivals
 from hrl_comfort.sim.hand.sensors import Losses
 
 ALONE = ("cell=grasp", "human=none", "split=validation", "output=unused")
-POLICIES = ("policies.pick=expert", "policies.place=expert", "policies.return=expert", "task.max_option_steps=400")
+POLICIES = ("policies.pick=expert", "policies.place=expert", "policies.return=expert")
 
 
 def asked(*words: str) -> EvaluateConfig:

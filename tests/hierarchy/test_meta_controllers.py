@@ -158,5 +158,5 @@ def test_a_task_says_how_long_its_options_may_take_unless_the_controller_does() 
         assert isinstance(config, EvaluateConfig)
         return config.meta_controller.time_limit_steps
 
-    assert limit("task=sort") == 100 and limit("task=cycle") == 500
+    assert limit("task=sort") == 400 and limit("task=cycle") == 500
     assert limit("task=sort", "meta_controller.time_limit_steps=7") == 7

@@ -10,10 +10,9 @@ from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CONTROL_STEP_S
 from hrl_comfort.humans import body
 from hrl_comfort.humans.arms import BACK_M_S, FASTEST_M_S, SPAN_M, TOLERANCE_M, drawn_back
-from hrl_comfort.humans.retreat import begin_retreat
 from hrl_comfort.humans.steering import POSTURE
 from hrl_comfort.scene.human import LIMBS
-from tests.humans.around import around
+from tests.humans.around import around, begin_retreat
 
 ROWS = 64
 

@@ -15,9 +15,9 @@ from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import HumanConfig
 from hrl_comfort.humans import body
 from hrl_comfort.humans.motions.kernels import social_force, strength
-from hrl_comfort.humans.retreat import begin_retreat
 from hrl_comfort.humans.walk import KeepOut, Surroundings, Walk
 from hrl_comfort.scene.human import limb_poses, walkers_limbs
+from tests.humans.around import begin_retreat
 from tests.humans.motions import FUNCTIONS, advance
 
 Array = NDArray[np.float64]

@@ -13,12 +13,12 @@ from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import CONTROL_STEP_S
 from hrl_comfort.files.run_config import environment
 from hrl_comfort.humans import body
-from hrl_comfort.humans.retreat import RETREAT_STEPS, STAYING, begin_retreat
+from hrl_comfort.humans.retreat import RETREAT_STEPS, STAYING
 from hrl_comfort.safety.separation import Encounter, Separation
 from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.people import stop_at_contact
-from tests.humans.around import around
+from tests.humans.around import around, begin_retreat
 
 SPAWN = np.array([[0.8, 0.1], [-0.3, 0.7]])
 NOWHERE = humans.around(np.zeros((0, 2)), 0.35, 2)

@@ -11,11 +11,11 @@ from hrl_comfort import humans
 from hrl_comfort.config import CONTROL_STEP_S
 from hrl_comfort.humans.arms import BACK_M_S, FIRST_ARM
 from hrl_comfort.humans.body import FOREARM_M, UPPER_ARM_M
-from hrl_comfort.humans.retreat import begin_retreat
 from hrl_comfort.safety.geometry import ArmGeometry, PersonGeometry, closest_points, farthest, gaps, norm
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.people import share_walked
+from tests.humans.around import begin_retreat
 
 Array = NDArray[np.float64]
 

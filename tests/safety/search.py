@@ -21,6 +21,7 @@ from hrl_comfort.files.run_config import environment
 from hrl_comfort.humans import steering
 from hrl_comfort.humans.motions.adversary import HANGING
 from hrl_comfort.humans.walk import Stride, Surroundings, Walk, length
+from hrl_comfort.safety.separation import Separation
 from hrl_comfort.sim.controls import limbs_of
 from hrl_comfort.sim.engine import Engine
 
@@ -64,6 +65,13 @@ def searched(config: HumanConfig, walk: Walk, noise: Array, around: Surroundings
     return Stride(steering.step(walk, wanted, config, None), walk.yaw, walk.limbs)
 
 
+def closing_speed(separation: Separation, angles: Array, velocity: Array, limbs: Array) -> Array:
+    """Return the speed (N,) m/s at which the arm's point nearest to the person moves towards it."""
+    apart, speeds = separation.pairs(angles, velocity, limbs)
+    nearest = apart.reshape(-1, len(angles)).argmin(axis=0)
+    return np.take_along_axis(speeds.reshape(-1, len(angles)), nearest[None], axis=0)[0]
+
+
 def fastest(engine: Engine, trials: Array) -> tuple[Array, int]:
     """Return the fastest approach (ROWS,) m/s of the arm in each of the trials (ROWS, NUMBERS) and the unsafe ones.
 
@@ -87,7 +95,8 @@ def fastest(engine: Engine, trials: Array) -> tuple[Array, int]:
         moving = [
             each.numpy().reshape(len(beside), -1) for each in (result.instants.joint_pos, result.instants.joint_vel)
         ]
-        speed = separation.closing_speed(*moving, beside) - PER_M * np.maximum(separation.gap(moving[0], beside), 0.0)
+        gap = separation.gap(moving[0], beside)
+        speed = closing_speed(separation, *moving, beside) - PER_M * np.maximum(gap, 0.0)
         valid = result.valid.numpy() & going[:, None] & ~result.instants.contact.numpy()
         found = np.maximum(found, np.where(valid, speed.reshape(ROWS, -1), -np.inf).max(axis=1))
         unsafe |= going & (result.instants.unsafe_contact & result.valid).any(dim=1).numpy()

@@ -14,6 +14,7 @@ from hrl_comfort.safety.separation import Separation
 from hrl_comfort.scene.human import LIMBS, limb_poses
 from hrl_comfort.scene.ur import UR_ARMS
 from hrl_comfort.scene.workcell import build_scene
+from tests.safety.search import closing_speed
 
 
 @pytest.mark.parametrize("robot", [*UR_ARMS, "jaco"])
@@ -69,4 +70,4 @@ def test_closing_speed_is_the_rate_at_which_the_arm_closes_the_gap() -> None:
     closed = (apart - separation.gap(angles + step * velocity, limbs)) / step
     outside = apart > 0
     assert outside.sum() > 20
-    assert separation.closing_speed(angles, velocity, limbs)[outside] == pytest.approx(closed[outside], abs=1e-3)
+    assert closing_speed(separation, angles, velocity, limbs)[outside] == pytest.approx(closed[outside], abs=1e-3)
