@@ -3,7 +3,7 @@
 The value of an option is the return of the next HORIZON_S if it is chosen now and the rule `due` chooses later. The
 copies of the oracle are exact, random numbers included: it foresees what no top can know, and nobody reaches a regret
 of 0. Those of `lookahead` have futures of their own: it knows how people walk, and not what they will do (Tesauro and
-Galperin 1996, On-line policy improvement using Monte-Carlo search, NIPS 9).
+Galperin 1996, https://arxiv.org/abs/2501.05407).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hrl_comfort.sim.engine import Engine
 
 HORIZON_S = 30.0
 """Time for which both look ahead, s."""
-FUTURES = 8
+FUTURES = 4
 """Futures over whose returns `lookahead` takes the mean."""
 
 
