@@ -36,8 +36,8 @@ from hrl_comfort.files.tables import read_table, write_table
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.decision import Choose, Decision, Top
 from hrl_comfort.hierarchy.executor import OptionExecutor, execute
+from hrl_comfort.hierarchy.look_ahead import FUTURES, Judged, LookAhead
 from hrl_comfort.hierarchy.options import OptionTable
-from hrl_comfort.hierarchy.oracle import FUTURES, Judged, Oracle
 from hrl_comfort.hierarchy.tops import TOPS
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.sim.engine import Engine
@@ -71,7 +71,7 @@ TERMS = {
     "regret": "regret",
 }
 """Columns of the CSV and their heads in the table; all but the first and the last are reward terms with their weights.
-The regret is the sum of that of each choice (`hierarchy.oracle`), empty where nobody judged."""
+The regret is the sum of that of each choice (`hierarchy.look_ahead`), empty where nobody judged."""
 COLUMNS = ("top", "seed", "shift", *TERMS)
 
 
@@ -156,7 +156,7 @@ def _side_by_side(config: EvaluateConfig, entries: EvaluationSet, names: list[st
     engine = make_engine(environment(config), len(every.episode), 0, every)
     executor, _ = make_executor(config, None, engine, 0)
     tops = [
-        Oracle(engine, executor, LOOKING[name]) if name in LOOKING else top_of(name, config, executor.table)
+        LookAhead(engine, executor, LOOKING[name]) if name in LOOKING else top_of(name, config, executor.table)
         for name in names
     ]
 
@@ -165,7 +165,8 @@ def _side_by_side(config: EvaluateConfig, entries: EvaluationSet, names: list[st
         return every[torch.arange(len(tops)).repeat_interleave(shifts), torch.arange(shifts * len(tops))]
 
     top = Top("all", choose, together=not LOOKING.keys().isdisjoint(names))
-    rows = worked(engine, executor, Judged(top, Oracle(engine, executor)) if judged else top, np.repeat(names, shifts))
+    judge = Judged(top, LookAhead(engine, executor)) if judged else top
+    rows = worked(engine, executor, judge, np.repeat(names, shifts))
     return DataFrame(rows).assign(shift=np.tile(np.arange(shifts), len(names)))
 
 

@@ -26,7 +26,7 @@ from hrl_comfort.files.run_config import environment, load_config, save_config
 from hrl_comfort.files.tables import records_of, write_table
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.executor import OptionRun, execute
-from hrl_comfort.hierarchy.oracle import Judged, Oracle
+from hrl_comfort.hierarchy.look_ahead import Judged, LookAhead
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.policies.load import Source, name_of
 from hrl_comfort.progress import Show, progress, success_of
@@ -103,7 +103,7 @@ def _run_batch(
     env, rows = environment(config), len(entries.episode)
     engine = make_engine(env, rows, 0, entries, measure_arm=True, disturbance=config.disturbance)
     executor, top = make_executor(config, policy, engine, config.first_seed)
-    judged = Judged(top, Oracle(engine, executor)) if config.regret else None
+    judged = Judged(top, LookAhead(engine, executor)) if config.regret else None
     recorder = EpisodeRecorder(config, policy, engine, entries, result)
     before = [episode.success for episode in result.episodes]
     recorder.begin(engine.reset())

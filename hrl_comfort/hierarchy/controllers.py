@@ -6,8 +6,8 @@ from hrl_comfort.config import POLICIES, SORTING, ConfigError, EvaluateConfig
 from hrl_comfort.config.hierarchy import LOOKAHEAD, ORACLE
 from hrl_comfort.hierarchy.decision import Top
 from hrl_comfort.hierarchy.executor import OptionExecutor
+from hrl_comfort.hierarchy.look_ahead import FUTURES, LookAhead
 from hrl_comfort.hierarchy.options import OptionTable, chain, skill
-from hrl_comfort.hierarchy.oracle import FUTURES, Oracle
 from hrl_comfort.hierarchy.own_options import with_own
 from hrl_comfort.hierarchy.sort import recovery, sorting_table
 from hrl_comfort.hierarchy.tops import in_order, make_top
@@ -41,8 +41,8 @@ def make_executor(
         table, retries = _chain(config, engine, seed), meta_controller.retries
     executor = OptionExecutor(table, episodes, retries)
     if (name := meta_controller.name) in (ORACLE, LOOKAHEAD):
-        oracle = Oracle(engine, executor, FUTURES if name == LOOKAHEAD else 0)
-        return executor, Top(name, oracle, together=True, values=oracle.values)
+        top = LookAhead(engine, executor, FUTURES if name == LOOKAHEAD else 0)
+        return executor, Top(name, top, together=True, values=top.values)
     return executor, make_top(config, table, seed)
 
 

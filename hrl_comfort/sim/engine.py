@@ -15,9 +15,9 @@ from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import Scene, scene_of
 from hrl_comfort.sim.episodes import Episodes
+from hrl_comfort.sim.futures import redraw
 from hrl_comfort.sim.physics import Physics, Rollout
 from hrl_comfort.sim.step_result import StepResult
-from hrl_comfort.sim.variation.futures import redraw
 from hrl_comfort.tasks import State
 
 Array = NDArray[np.float64]
@@ -111,7 +111,7 @@ class Engine:
     def copies(self, rows: Tensor, futures: Tensor | None = None) -> Engine:
         """Return an engine of r cells that go on as those of `rows` (r,) int64 would, to the end of their episodes.
 
-        With `futures` (r,) int64 as they might; see `sim.variation.futures`.
+        With `futures` (r,) int64 as they might; see `sim.futures`.
         """
         engine = Engine(self.episodes.config, len(rows), 0, **self._alike)
         engine.load_state_dict(of_rows(self.state_dict(), rows))

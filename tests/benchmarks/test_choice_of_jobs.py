@@ -11,7 +11,7 @@ from hrl_comfort.benchmarks import sb3_tops
 from hrl_comfort.benchmarks import tops as choice
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig, MetaControllerTrainConfig, TrainConfig
-from hrl_comfort.hierarchy import oracle as looking
+from hrl_comfort.hierarchy import look_ahead as looking
 from hrl_comfort.training.controller_trainer import train_meta_controller
 from hrl_comfort.training.trainer import train
 

@@ -9,11 +9,11 @@ from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import EnvConfig, EvaluateConfig
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_config import environment
-from hrl_comfort.hierarchy import oracle as looking
+from hrl_comfort.hierarchy import look_ahead as looking
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.decision import Decision, Top
 from hrl_comfort.hierarchy.executor import execute
-from hrl_comfort.hierarchy.oracle import Oracle
+from hrl_comfort.hierarchy.look_ahead import LookAhead
 from hrl_comfort.hierarchy.tops import due
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.sim.engine import Engine
@@ -93,7 +93,7 @@ def test_an_oracle_foresees_what_an_option_is_worth_and_loses_nothing(
     config = asked(world, *words, "episodes=1")
     engine = Engine(environment(config), 1, 0)
     executor, _ = make_executor(config, None, engine, 0)
-    values = Oracle(engine, executor).values(executor.decision(engine.reset()))[0]
+    values = LookAhead(engine, executor).values(executor.decision(engine.reset()))[0]
     first = [int(values.argmax())]
     best = float(values.max())
 

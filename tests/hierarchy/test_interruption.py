@@ -22,10 +22,10 @@ from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.decision import Decision, Top
 from hrl_comfort.hierarchy.executor import TERMINATIONS, execute
 from hrl_comfort.hierarchy.learned import load_choice
+from hrl_comfort.hierarchy.look_ahead import Judged
 from hrl_comfort.hierarchy.option_cells import OptionVector
 from hrl_comfort.hierarchy.option_env import make_option_env
 from hrl_comfort.hierarchy.options import Choice, OptionTable, Termination, skill
-from hrl_comfort.hierarchy.oracle import Judged
 from hrl_comfort.hierarchy.tops import in_order
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.studio.session import Session

@@ -13,12 +13,12 @@ from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_config import environment
-from hrl_comfort.hierarchy import oracle as looking
+from hrl_comfort.hierarchy import look_ahead as looking
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.decision import Top
 from hrl_comfort.hierarchy.executor import ExecutedStep, OptionExecutor, execute
+from hrl_comfort.hierarchy.look_ahead import LookAhead
 from hrl_comfort.hierarchy.observation import meta_observation, observation_dim
-from hrl_comfort.hierarchy.oracle import Oracle
 from hrl_comfort.hierarchy.tops import due, free, greedy
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.sim.objects import renewed
@@ -195,7 +195,7 @@ def test_copies_go_on_as_the_cells_would() -> None:
 def test_values_of_the_oracle_are_what_the_options_are_worth(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(looking, "HORIZON_S", 10.0)
     engine, executor, state = made(kitting("task.max_episode_steps=500"), 1)
-    values = Oracle(engine, executor).values(executor.decision(state))[0]
+    values = LookAhead(engine, executor).values(executor.decision(state))[0]
     best = int(values.argmax())
     able = [name for name, value in zip(executor.table.names, values.tolist(), strict=True) if value > -math.inf]
     assert able == [*(f"pick_{index}" for index in range(1, 7)), "wait"] and float(values[best]) > 0

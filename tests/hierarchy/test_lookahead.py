@@ -7,10 +7,10 @@ import torch
 
 from hrl_comfort.config import ConfigError
 from hrl_comfort.evaluation.rollout import rollout
-from hrl_comfort.hierarchy import oracle as looking
+from hrl_comfort.hierarchy import look_ahead as looking
 from hrl_comfort.hierarchy.decision import Top
 from hrl_comfort.hierarchy.executor import execute
-from hrl_comfort.hierarchy.oracle import Oracle
+from hrl_comfort.hierarchy.look_ahead import LookAhead
 from hrl_comfort.hierarchy.tops import due, free
 from tests.hierarchy.test_kitting import kitting, made
 
@@ -43,7 +43,7 @@ def test_values_are_means_over_futures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(looking, "HORIZON_S", 6.0)
     engine, executor, state = made(kitting("task.max_episode_steps=500"), 1)
     decision = executor.decision(state)
-    found = Oracle(engine, executor, futures=2).values(decision)[0]
+    found = LookAhead(engine, executor, futures=2).values(decision)[0]
     rows, tried = torch.nonzero(decision.mask).unbind(dim=1)
     returns = torch.zeros(2, len(rows), dtype=torch.float64)
     for future in range(2):

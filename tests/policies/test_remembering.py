@@ -9,8 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from hrl_comfort.config import ConfigError
+from hrl_comfort.hierarchy.look_ahead import LookAhead
 from hrl_comfort.hierarchy.options import Choice, Option, OptionTable
-from hrl_comfort.hierarchy.oracle import Oracle
 from hrl_comfort.policies.actor import Policy
 from hrl_comfort.policies.remembering import MOST, Remembering
 from hrl_comfort.tasks import State
@@ -59,7 +59,7 @@ def test_what_is_remembered_goes_on_where_it_was_saved_and_the_oracle_refuses_it
     option = Option("pick", act, lambda state: state.key > 0, lambda state, _: state.key > 0)
     executor = SimpleNamespace(table=OptionTable([Choice(option)]), option=torch.zeros(1))
     with pytest.raises(ConfigError, match=r"^the policy of pick remembers, .*; give meta_controller another top"):
-        Oracle(SimpleNamespace(), executor)  # type: ignore[arg-type]
+        LookAhead(SimpleNamespace(), executor)  # type: ignore[arg-type]
 
 
 def test_the_first_decision_is_that_of_the_policy_alone_and_old_episodes_are_forgotten() -> None:

@@ -25,10 +25,10 @@ FUTURES = 4
 """Futures over whose returns `lookahead` takes the mean."""
 
 
-class Oracle:
+class LookAhead:
     """Values of the options of the cells of `engine`, run by `executor`.
 
-    With `futures` above 0, the means over so many futures that are drawn for each decision.
+    They are those of the oracle; with `futures` above 0, the means over so many that are drawn for each decision.
 
     Raises:
       ConfigError: a policy remembers: it would take what its copies did for what it did.
@@ -37,7 +37,7 @@ class Oracle:
     def __init__(self, engine: Engine, executor: OptionExecutor, futures: int = 0) -> None:
         if names := [each.name for each in executor.table.options if isinstance(each.policy, Remembering)]:
             raise ConfigError(
-                f"the policy of {names[0]} remembers, and the oracle cannot try it in copies; give meta_controller "
+                f"the policy of {names[0]} remembers, and cannot be tried in copies; give meta_controller "
                 "another top, and regret=false"
             )
         self._engine, self.executor, self._futures = engine, executor, futures
@@ -87,7 +87,7 @@ class Oracle:
             first[decision.deciding] = False
             return chosen
 
-        for step in execute(engine, executor, Top("oracle", choose)):
+        for step in execute(engine, executor, Top("tried", choose)):
             within = step.active & (step.result.state.steps <= end)
             returns += torch.where(within, step.result.reward, 0.0)
             if not bool(within.any()):
@@ -103,7 +103,7 @@ class Judged(Top):
       ConfigError: as `Top`.
     """
 
-    def __init__(self, top: Top, oracle: Oracle) -> None:
+    def __init__(self, top: Top, oracle: LookAhead) -> None:
         super().__init__(top.name, top, top.begin, together=True)
         self._oracle = oracle
         self._regret = self._before = torch.zeros(oracle.executor.option.shape, dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""What might lie ahead in an episode: people walk, and objects and orders arrive, by other random numbers."""
+"""The rest of an episode drawn anew: people walk, and objects and orders arrive, by other random numbers."""
 
 from __future__ import annotations
 
