@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+from collections.abc import Sequence
 from pathlib import Path
 
 from pydantic import BaseModel
@@ -55,11 +57,40 @@ def state(name: str, entry: Entry) -> str:
     if record.commit.endswith("+"):
         return "made with uncommitted changes"
     base = record.verified or record.commit
-    changed = git("diff", "--name-only", base, "--", *entry.decided_by)
-    if changed is None:
+    files = changed(base, entry.decided_by)
+    if files is None:
         return f"commit {base[:7]} is not in this clone"
-    files = changed.splitlines()
     return f"stale: {len(files)} files changed since {base[:7]}, {files[0]} first" if files else "current"
+
+
+def changed(base: str, paths: Sequence[str]) -> list[str] | None:
+    """Return the files among `paths` that differ from the commit `base` in more than comments, docstrings and layout.
+
+    None if the commit is not in this clone.
+    """
+    differing = git("diff", "--name-only", base, "--", *paths)
+    return None if differing is None else [path for path in differing.splitlines() if not _reworded(base, path)]
+
+
+def _reworded(base: str, path: str) -> bool:
+    """Return whether the statements of a file of Python are those of the commit `base`."""
+    before, now = git("show", f"{base}:{path}"), ROOT / path
+    if before is None or not now.is_file() or now.suffix != ".py":
+        return False
+    return _statements(before) == _statements(now.read_text(encoding="utf-8"))
+
+
+def _statements(source: str) -> str:
+    """Return the statements of a source, strings that stand alone left out."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            node.body = [each for each in node.body if not _is_docstring(each)]
+    return ast.dump(tree)
+
+
+def _is_docstring(node: ast.stmt) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
 
 
 def need_clean_tree() -> str:

@@ -33,6 +33,17 @@ def test_a_result_is_stale_once_what_decides_it_has_changed(checkout: Path) -> N
     assert record.state("made", MADE) == "missing: runs/made.csv"
 
 
+def test_a_result_stays_current_when_comments_docstrings_and_layout_change(checkout: Path) -> None:
+    source = '"""A module."""\nx = 1\n"""A number."""\n\n\ndef f():\n    """Return it."""\n    return x\n'
+    (checkout / "code.py").write_text(source, encoding="utf-8")
+    record.write_record("made", record.Record(commit=commit(checkout), commands=[]))
+    reworded = source.replace("A module", "The module").replace("A number", "One").replace("Return it", "Return x")
+    (checkout / "code.py").write_text(f"# First.\n{reworded}".replace("x = 1", "x = (1)"), encoding="utf-8")
+    assert record.state("made", MADE) == "current"
+    (checkout / "code.py").write_text(reworded.replace("x = 1", "x = 2"), encoding="utf-8")
+    assert record.state("made", MADE).startswith("stale: 1 files changed")
+
+
 def test_nothing_is_published_from_a_tree_with_uncommitted_changes(
     checkout: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
