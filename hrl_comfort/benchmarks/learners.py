@@ -6,6 +6,7 @@ run again.
 
 from __future__ import annotations
 
+import math
 import tempfile
 import time
 from collections.abc import Callable, Hashable, Sequence
@@ -44,7 +45,7 @@ LEARNERS = {"sac": [], "tqc": [], "crossq": [], "redq": ["agent.updates_per_poli
 EPISODES = ("split=validation", "episodes=200", "task.max_episode_steps=1000")
 """The evaluation of a skill, in words of `evaluate`."""
 COLUMNS = ("asked_min", "task", "learner", "seed", "policy_steps", "minutes", "success")
-"""`minutes` are those that a training took of a core: near to those asked for, if not the same."""
+"""`minutes` are those that a training took of a core: near to those asked for, if not the same; NaN if it diverged."""
 SPENT = {"minutes": 2, "policy_steps": 0}
 """Columns that tell the cost of a training, and the digits that the table gives."""
 PACE_STEPS, PACE_ROUNDS = 640, 3
@@ -80,7 +81,8 @@ def measure(path: Path, minutes: float, seeds: int) -> DataFrame:
 
 def steps_of(task: str, minutes: float, rows: list[dict[Hashable, Any]], seed: int) -> dict[str, int]:
     """Return the policy steps of each learner in `minutes` of a core, by its `rows` of the task or else by `paces`."""
-    spent = {name: [row for row in rows if row["learner"] == name] for name in LEARNERS}
+    whole = [row for row in rows if math.isfinite(row["minutes"])]
+    spent = {name: [row for row in whole if row["learner"] == name] for name in LEARNERS}
     new = {name: config_of(task, name, seed) for name, mine in spent.items() if not mine}
     per_s = paces(new) if new else {}
     for name in spent.keys() - new.keys():
@@ -127,18 +129,16 @@ def _step(training: Training, policy_steps: int) -> int:
 def trained(config: TrainConfig) -> tuple[float, float]:
     """Return the minutes of a core that a training takes, and the success share of its policy in EPISODES.
 
-    The share of one that diverges is 0.
+    The share of one that diverges is 0, and its minutes are NaN: it tells no pace.
     """
     with tempfile.TemporaryDirectory() as folder:
         began = time.process_time()
         try:
-            run: Path | None = train(replace(config, output=str(Path(folder) / "run")))
+            run = train(replace(config, output=str(Path(folder) / "run")))
         except TrainingDiverged as error:
             print(f"{config.task.name}, {config.agent.name}, train_seed={config.train_seed}: {error}")
-            run = None
+            return math.nan, 0.0
         minutes = (time.process_time() - began) / 60
-        if run is None:
-            return round(minutes, 3), 0.0
         asked = compose("evaluate", [f"policy={run}", *EPISODES, f"output={folder}/unused"])
         assert isinstance(asked, EvaluateConfig)
         return round(minutes, 3), float(rollout(asked).table["success"].mean())

@@ -156,8 +156,7 @@ class EvaluateConfig(EnvConfig):
         if self.policies and not chained:
             raise ConfigError("policies.* go with a meta-controller: meta_controller=nearest")
         if self.meta_controller.name == LOOKAHEAD:
-            motions = {name for each in self.human.everyone for name in (each.motion, *each.mixture)}
-            check_ahead(motions, self.comfort.source, self.disturbance)
+            self.check_ahead()
         if self.regret and not chained:
             raise ConfigError("regret=true judges the choices of a meta-controller; give one, or regret=false")
         several = f"checkpoints={self.checkpoints}"
@@ -172,6 +171,11 @@ class EvaluateConfig(EnvConfig):
         first, last, most = SPLITS[self.split]
         between("episodes", self.episodes, 1, most if self.terminal_states is None else 10**6)
         between("episode_seed", self.first_seed, first, last)
+
+    def check_ahead(self) -> None:
+        """Raise ConfigError if `lookahead` would know ahead what people, levels or disturbances do."""
+        motions = {name for each in self.human.everyone for name in (each.motion, *each.mixture)}
+        check_ahead(motions, self.comfort.source, self.disturbance)
 
     @property
     def first_seed(self) -> int:

@@ -19,6 +19,10 @@ from hrl_comfort.sim.processes.engine import make_engine
 from hrl_comfort.sim.starts import fingerprint
 
 
+class NoSuccess(ConfigError):
+    """No episode of a kind succeeded, so there are no terminal states of it."""
+
+
 def record_terminal_states(config: EvaluateConfig, first_seed: int = TERMINAL_STATES_SEED) -> Path:
     """Write the last states of successful episodes by kind, float32 (`sim.starts`), to `config.terminal_states`.
 
@@ -27,7 +31,8 @@ def record_terminal_states(config: EvaluateConfig, first_seed: int = TERMINAL_ST
     as in training, from seeds of their own, `first_seed` on: what is recorded becomes training data.
 
     Raises:
-      ConfigError: the path does not end in .npz, or no episode of a kind succeeded.
+      ConfigError: the path does not end in .npz, or episodes have one kind alone.
+      NoSuccess: no episode of a kind succeeded.
     """
     path = Path(config.terminal_states or "")
     if path.suffix != ".npz":
@@ -42,7 +47,7 @@ def record_terminal_states(config: EvaluateConfig, first_seed: int = TERMINAL_ST
             found[kind].append(state)
     for kind, states in found.items():
         if not states:
-            raise ConfigError(f"terminal_states={str(path)!r}: no {kind} episode succeeded, so none is written")
+            raise NoSuccess(f"terminal_states={str(path)!r}: no {kind} episode succeeded, so none is written")
     banks: dict[str, Any] = {kind: np.array(states) for kind, states in found.items()}
     if config.cell.vary.layouts or config.robot.gripper.holds:
         banks["cell"] = np.array(fingerprint(environment(config)))

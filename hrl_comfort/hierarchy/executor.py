@@ -135,6 +135,10 @@ class OptionExecutor:
             if option.max_runs is not None:
                 runs = torch.where(mine[self.option] & (state.steps > 0), self.attempt, 0)
                 mask[:, mine] &= (runs < option.max_runs)[:, None]
+        going = torch.nonzero(self._interrupted & (state.steps > 0)).squeeze(-1)
+        mask[going, self.option[going]] = free[going, self.option[going]]  # to go on is no further run
+        for index, option in enumerate(self.table.options):
+            mine = self.table.option == index
             if option.recovers:
                 astray = self._preempted & (state.steps > 0) & ~self._ends(index, state)
                 mask[astray] = mine
@@ -227,7 +231,7 @@ class OptionExecutor:
         termination[result.failed] = _FAILURE
         # Who is on the way home after such an end stays so until home, however often that is interrupted.
         recovers = torch.tensor([option.recovers for option in self.table.options])[self.table.option[self.option]]
-        cut_short = ended & (termination != _SUCCESS) & ~result.terminated
+        cut_short = ended & (termination != _SUCCESS) & ~result.done
         self._preempted = cut_short | (self._preempted & recovers & ~ended)
         self._interrupted = interrupted & ~ended
         self.timeouts = torch.where(

@@ -16,7 +16,6 @@ from hrl_comfort.hierarchy.decision import Decision, Top
 from hrl_comfort.hierarchy.executor import OptionExecutor, OptionRun, execute
 from hrl_comfort.hierarchy.options import Cause
 from hrl_comfort.hierarchy.tops import due
-from hrl_comfort.policies.remembering import Remembering
 from hrl_comfort.sim.engine import Engine
 
 HORIZON_S = 30.0
@@ -35,9 +34,9 @@ class LookAhead:
     """
 
     def __init__(self, engine: Engine, executor: OptionExecutor, futures: int = 0) -> None:
-        if names := [each.name for each in executor.table.options if isinstance(each.policy, Remembering)]:
+        if name := next(iter(executor.table.remembering), None):
             raise ConfigError(
-                f"the policy of {names[0]} remembers, and cannot be tried in copies; give meta_controller "
+                f"the policy of {name} remembers, and cannot be tried in copies; give meta_controller "
                 "another top, and regret=false"
             )
         self._engine, self.executor, self._futures = engine, executor, futures

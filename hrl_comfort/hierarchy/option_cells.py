@@ -109,12 +109,13 @@ class OptionCells(Cells):
     def __getstate__(self) -> dict[str, Any]:
         left_out = ("executor", "_process", "_see")
         kept = {name: value for name, value in super().__getstate__().items() if name not in left_out}
-        return {**kept, "executor_state": self.executor.state_dict()}
+        return {**kept, "executor_state": self.executor.state_dict(), "memories": self.executor.table.memories()}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
-        executor = kept.pop("executor_state")
+        executor, memories = kept.pop("executor_state"), kept.pop("memories")
         super().__setstate__(kept)
         self.executor.load_state_dict(executor)
+        self.executor.table.load_memories(memories)
 
 
 class OptionGym(CellGym):

@@ -23,7 +23,6 @@ from hrl_comfort.hierarchy.decision import Decision
 from hrl_comfort.hierarchy.executor import OptionExecutor
 from hrl_comfort.hierarchy.observation import observer
 from hrl_comfort.hierarchy.semi_mdp import FLAGS, MakeOptions, SemiMDP, options_of
-from hrl_comfort.policies.remembering import Remembering
 from hrl_comfort.sim.processes.engine import make_engine
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.subtask import StateFunction
@@ -193,15 +192,9 @@ class OptionEnv(EnvBase):
             "engine": self.engine.state_dict(),
             "executor": self.executor.state_dict(),
             "returns": self._process.returns,
-            "memories": [policy.state_dict() for policy in self._remembering],
+            "memories": self.executor.table.memories(),
             **{name: getattr(self, name) for name in self._TENSORS},
         }
-
-    @property
-    def _remembering(self) -> list[Remembering]:
-        """The policies of options that remember."""
-        policies = [option.policy for option in self.executor.table.options]
-        return [policy for policy in policies if isinstance(policy, Remembering)]
 
     def close(self, *_: Any, **__: Any) -> None:
         """Stop the engine's threads and processes."""
@@ -213,9 +206,7 @@ class OptionEnv(EnvBase):
         self.engine.load_state_dict(state_dict["engine"])
         self.executor.load_state_dict(state_dict["executor"])
         self._process.returns = state_dict["returns"]
-        memories = state_dict.get("memories", [])  # none in checkpoints of earlier versions
-        for policy, memory in zip(self._remembering, memories, strict=False):
-            policy.load_state_dict(memory)
+        self.executor.table.load_memories(state_dict.get("memories", []))
         for name in self._TENSORS:
             setattr(self, name, state_dict[name])
 

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from hrl_comfort.config import ConfigError
 from hrl_comfort.policies.load import Act
+from hrl_comfort.policies.remembering import Remembering
 from hrl_comfort.tasks import State, Subtask
 from hrl_comfort.tasks.state import ABSENT
 from hrl_comfort.tasks.subtask import StateFunction
@@ -194,6 +195,20 @@ class OptionTable:
 
     def __iter__(self) -> Iterator[Choice]:
         return iter(self._choices)
+
+    @property
+    def remembering(self) -> dict[str, Remembering]:
+        """The policies that remember, by the names of their options."""
+        return {each.name: each.policy for each in self.options if isinstance(each.policy, Remembering)}
+
+    def memories(self) -> list[dict[str, Tensor]]:
+        """Return what an exact continuation needs of `remembering`."""
+        return [policy.state_dict() for policy in self.remembering.values()]
+
+    def load_memories(self, saved: Sequence[dict[str, Tensor]]) -> None:
+        """Continue from `memories`; checkpoints of earlier versions have none."""
+        for policy, memory in zip(self.remembering.values(), saved, strict=False):
+            policy.load_state_dict(memory)
 
     def position(self, name: str) -> int:
         """Return the index of the choice `name`; raise ConfigError if there is none."""

@@ -13,6 +13,7 @@ from hrl_comfort.config import ConfigError, EnvConfig, MetaControllerConfig
 from hrl_comfort.config.checks import part
 from hrl_comfort.config.hierarchy import FURTHER_OPTIONS
 from hrl_comfort.hierarchy.options import Choice, Option
+from hrl_comfort.policies.remembering import Remembering
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.cartesian import action_dim
 
@@ -79,4 +80,5 @@ def _checked(option: Option, width: int) -> Option:
     def termination(state: Any, begun: Any) -> Tensor:
         return tested("termination", option.termination(state, begun), tuple(state.stage.shape))
 
-    return replace(option, policy=policy, initiation=initiation, termination=termination)
+    own = option.policy if isinstance(option.policy, Remembering) else policy  # its memory is copied, saved and refused
+    return replace(option, policy=own, initiation=initiation, termination=termination)

@@ -116,8 +116,7 @@ class Engine:
         engine = Engine(self.episodes.config, len(rows), 0, **self._alike)
         engine.load_state_dict(of_rows(self.state_dict(), rows))
         if futures is not None:
-            assert engine.episodes.state is not None
-            redraw(engine.episodes.draw, engine.episodes.state.steps.numpy(), futures.numpy())
+            redraw(engine.episodes, futures.numpy())
         return engine
 
     def state_dict(self) -> dict[str, Any]:

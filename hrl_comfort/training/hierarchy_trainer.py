@@ -17,6 +17,7 @@ from hrl_comfort.analysis.tables import of_groups
 from hrl_comfort.composition.stages import stages_of, train_config, with_budget
 from hrl_comfort.config import (
     HIERARCHY,
+    RANDOM,
     ConfigError,
     EnvConfig,
     EvaluateConfig,
@@ -28,7 +29,7 @@ from hrl_comfort.config import (
 from hrl_comfort.config.hierarchy import OPTION_KEYS
 from hrl_comfort.config.learning import SKILL_LEARNERS
 from hrl_comfort.evaluation.evaluate import evaluate
-from hrl_comfort.evaluation.terminal_states import record_terminal_states
+from hrl_comfort.evaluation.terminal_states import NoSuccess, record_terminal_states
 from hrl_comfort.files.documents import Summary, read_json
 from hrl_comfort.files.provenance import RunState, is_finished, read_provenance, run_state, write_provenance
 from hrl_comfort.files.run_config import environment, is_same, load_config, save_config
@@ -97,6 +98,12 @@ def _check(config: HierarchyTrainConfig, folder: Path) -> None:
         raise ConfigError(
             f"hierarchy.refinement goes on from networks that agent.name={config.agent.name} does not keep; choose one "
             f"of {', '.join(SKILL_LEARNERS)}, or hierarchy.refinement=[]"
+        )
+    several = len(config.meta_controller.options) > 1
+    if several and config.hierarchy.starts == "recorded" and config.task.object != RANDOM:
+        raise ConfigError(
+            f"task.object={config.task.object}: recorded starts need every kind; choose {RANDOM}, or "
+            "hierarchy.starts=ik"
         )
     options = {name: option_config(config, name, folder / name, "ik") for name in config.meta_controller.options}
     for name, option in options.items():
@@ -191,7 +198,7 @@ def terminal_states_of(option: TrainConfig, config: HierarchyTrainConfig) -> str
     try:
         if not path.is_file():
             record_terminal_states(asked)
-    except ConfigError as error:
+    except NoSuccess as error:
         Console(stderr=True).print(f"{error}; the next option starts from inverse kinematics", soft_wrap=True)
         return "ik"
     return str(path)

@@ -69,6 +69,11 @@ def test_the_table_tells_the_best_fixed_order_and_how_far_it_is_from_a_rule_and_
     assert "5.00 [-1.35, 11.35]" in lines[5], "over the training seeds"
 
 
+def test_a_world_that_lookahead_would_know_ahead_is_refused_before_anything_works() -> None:
+    with pytest.raises(ConfigError, match=r"^disturbance=drop: meta_controller=lookahead would know ahead"):
+        next(choice.measure(kitting("disturbance=drop"), 2))
+
+
 def test_all_that_work_but_fixed_orders_that_are_not_the_best_are_told_their_regret(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,6 +49,21 @@ def test_each_trains_for_the_steps_of_its_own_pace_and_no_seed_twice(tmp_path: P
         learners.measure(path, 0, 2)
 
 
+def test_a_training_that_diverged_tells_no_pace(monkeypatch) -> None:
+    monkeypatch.setattr(learners, "paces", lambda of: dict.fromkeys(of, 1.0))
+    rows = [
+        {"task": "pick", "learner": name, "seed": seed, "policy_steps": 1200, "minutes": minutes}
+        for name, *each in (
+            ("sac", 2.0, math.nan),
+            ("tqc", math.nan, math.nan),
+            ("crossq", 2.0, 1.0),
+            ("redq", 4.0, 4.0),
+        )
+        for seed, minutes in enumerate(each)
+    ]
+    assert learners.steps_of("pick", 2, rows, 2) == {"sac": 1200, "tqc": 120, "crossq": 1600, "redq": 600}
+
+
 def test_all_learn_from_the_demonstrations_of_the_experiment_without_people_and_redq_with_its_many_updates() -> None:
     made = {name: learners.config_of("pick", name, 3, 500) for name in learners.LEARNERS}
     like = compose("train_hierarchy", ["experiment=grasp", "cell=grasp", "output=unused"])
@@ -65,7 +81,8 @@ def test_a_training_that_diverges_has_no_success(monkeypatch, capsys) -> None:
         raise TrainingDiverged("training diverged at update 7: critic_loss is nan")
 
     monkeypatch.setattr(learners, "train", diverges)
-    assert learners.trained(learners.config_of("pick", "tqc", 3, 500))[1] == 0.0
+    minutes, share = learners.trained(learners.config_of("pick", "tqc", 3, 500))
+    assert math.isnan(minutes) and share == 0.0
     assert "pick, tqc, train_seed=3: training diverged at update 7" in capsys.readouterr().out
 
 

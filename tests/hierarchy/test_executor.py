@@ -147,13 +147,15 @@ def test_who_stands_still_runs_out_of_no_time(state: State) -> None:
     assert executor.timeouts.tolist() == [1, 0, 1]
 
 
-def test_an_option_that_the_end_of_an_episode_cut_short_leaves_nothing_to_the_next(state: State) -> None:
+def test_an_option_that_the_end_of_an_episode_cut_short_leaves_the_next_free(state: State) -> None:
     home = Option("home", constant(0.4), lambda state: NO, lambda state, _: NO, recovers=True)
     table = OptionTable([*three(), Choice(home)])
     executor = executor_of(table, at(state, [0] * 3, [0] * 3))
     executor.begin(~NO, torch.zeros(3, dtype=torch.int64))
     executor.ended(outcome(at(state, [5] * 3, [0] * 3), ~NO, NO, ~NO))
-    assert executor.available(at(state, [5] * 3, [0] * 3))[0].tolist() == [False, False, False, True]
+    assert executor.available(at(state, [5] * 3, [0] * 3))[0].tolist() == [True, False, False, False], (
+        "its value counts"
+    )
     begun = at(state, [0] * 3, [0] * 3)
     assert executor.available(begun)[0].tolist() == [True, False, False, False]
     executor.begin(~NO, torch.zeros(3, dtype=torch.int64))

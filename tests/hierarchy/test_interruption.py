@@ -25,7 +25,7 @@ from hrl_comfort.hierarchy.learned import load_choice
 from hrl_comfort.hierarchy.look_ahead import Judged
 from hrl_comfort.hierarchy.option_cells import OptionVector
 from hrl_comfort.hierarchy.option_env import make_option_env
-from hrl_comfort.hierarchy.options import Choice, OptionTable, Termination, skill
+from hrl_comfort.hierarchy.options import Choice, Option, OptionTable, Termination, lasts, skill
 from hrl_comfort.hierarchy.tops import in_order
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.studio.session import Session
@@ -91,6 +91,14 @@ def test_an_option_that_ends_when_it_would_be_interrupted_has_ended(state: State
     picked = outcome(at(state, [5] * 3, [1, 0, 0]), NO, NO, NO)
     executor = played([picked], two(after=5, limit=20))[1][0]
     assert [(run.row, run.termination) for run in executor.runs] == [(0, "success")]
+
+
+def test_an_option_that_may_run_once_goes_on_in_that_run_and_cannot_begin_anew(state: State) -> None:
+    once = replace(two(after=10, limit=25)[0].option, max_runs=1)
+    table = OptionTable([once, Option("wait", constant(0.0), lambda state: ~NO, lasts(5))])
+    top = Top("first", lambda decision: torch.where(decision.mask[:, 0], 0, 1))
+    found = runs_of(state, table, [5, 10, 15, 20, 25, 30], top)
+    assert found == [("pick", 1, 0, 25, "preempted", "time limit"), ("wait", 1, 25, 30, "success", "done")]
 
 
 def test_options_without_the_key_are_never_interrupted(state: State) -> None:

@@ -110,7 +110,7 @@ def test_another_robot_has_not_the_home_of_that_of_the_run(tmp_path, word: str) 
 
 
 def test_a_controller_learns_to_take_the_option_that_pays() -> None:
-    """Two options, one pays 1 and one 0, at once and for good; a third that would pay 9 cannot start."""
+    """Two options, one pays 1 and one 0, at once and for good; a third cannot start."""
     agent = compose(
         "train_meta_controller",
         ["meta_controller_agent.batch_size=32", "meta_controller_agent.learning_rate=0.01"],
@@ -157,25 +157,30 @@ def test_what_is_kept_of_a_controller_is_the_mean_of_its_networks(tmp_path) -> N
         torch.testing.assert_close(value, 0.75 * (0.75 * first + 0.25 * second) + 0.25 * third)
 
 
-def test_what_an_option_leads_to_is_discounted_by_its_length() -> None:
-    """One state, one option of 10 control steps that pays 1: V = 1 / (1 - gamma**10)."""
+def test_what_an_option_leads_to_is_discounted_by_its_length_and_is_worth_what_can_start_there() -> None:
+    """One state, an option of 10 control steps that pays 1 and leads back: V = 1 / (1 - gamma**10).
+
+    The other one pays 50 and ends the episode, but cannot start after the first.
+    """
     changes = ["batch_size=32", "learning_rate=0.01", "gamma=0.95", "tau=0.1", "hidden=[16]"]
     agent = compose(
         "train_meta_controller", [f"meta_controller_agent.{change}" for change in changes]
     ).meta_controller_agent
     learner = DQN(agent, 1, 2)
-    one, mask = torch.ones(32, 1), torch.tensor([[True, False]]).expand(32, 2)
-    no = torch.zeros(32, 1, dtype=torch.bool)
+    one, mask = torch.ones(64, 1), torch.tensor([[True, False]]).expand(64, 2)
+    action = torch.arange(64) % 2
+    ends = (action == 1)[:, None]
     after = {
-        "observation": one, "action_mask": mask, "reward": one, "done": no, "terminated": no, "truncated": no,
+        "observation": one, "action_mask": mask, "reward": 1.0 + 49.0 * ends, "done": ends, "terminated": ends,
+        "truncated": torch.zeros_like(ends),
     }  # fmt: skip
-    now = {"observation": one, "action_mask": mask, "action": torch.zeros(32, dtype=torch.int64)}
-    steps = {"steps_to_next_obs": torch.full((32, 1), 10)}
-    learner.observe(TensorDict({**now, **steps, "next": TensorDict(after, batch_size=[32])}, batch_size=[32]))
+    now = {"observation": one, "action_mask": torch.ones_like(mask), "action": action}
+    steps = {"steps_to_next_obs": torch.full((64, 1), 10)}
+    learner.observe(TensorDict({**now, **steps, "next": TensorDict(after, batch_size=[64])}, batch_size=[64]))
     for _ in range(600):
         learner.update()
-    values = learner.network(TensorDict({"observation": one[:1], "action_mask": mask[:1]}, [1]))
-    assert values["action_value"][0, 0].item() == pytest.approx(1 / (1 - 0.95**10), rel=0.05)
+    values = learner.network(TensorDict({"observation": one[:1], "action_mask": torch.ones_like(mask[:1])}, [1]))
+    assert values["action_value"][0].tolist() == pytest.approx([1 / (1 - 0.95**10), 50.0], rel=0.05)
 
 
 @pytest.mark.parametrize("network", ["flat", "shared"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 
@@ -12,6 +13,7 @@ from hrl_comfort.hierarchy.decision import Top
 from hrl_comfort.hierarchy.executor import execute
 from hrl_comfort.hierarchy.look_ahead import LookAhead
 from hrl_comfort.hierarchy.tops import due, free
+from hrl_comfort.humans.motions.kernels import REACH_S
 from tests.hierarchy.test_kitting import kitting, made
 
 
@@ -37,6 +39,22 @@ def test_copies_go_on_by_their_futures_and_begin_alike() -> None:
         assert (torch.equal(value[0], value[1]) and torch.equal(value[0], value[4])) or value.isnan().any(), name
     assert not torch.equal(state.humans_pos[0], state.humans_pos[2])
     assert not torch.equal(state.humans_pos[0], engine.episodes.state.humans_pos[0])
+
+
+def test_people_leave_their_stations_at_other_times_in_other_futures_unless_they_draw_their_hands_back() -> None:
+    engine, executor, _ = made(kitting(), 16)
+    going = execute(engine, executor, Top("free", free))
+    for _ in range(80):
+        next(going)
+    rows, futures = torch.arange(16).repeat_interleave(3), torch.arange(3).repeat(16)
+    walk, copied = engine.episodes.people.now.walks[0], engine.copies(rows, futures).episodes.people.now.walks[0]
+    (here, stay), others = walk.memory[:, 1:].T, copied.memory[:, 2].reshape(16, 3)
+    working = (here > 0) & (here + REACH_S < stay)
+    assert 0 < working.sum() < 16, "some are on their way, or leave"
+    assert (others[~working] == stay[~working, None]).all()
+    assert (others[working] > here[working, None] + REACH_S).all() and (others[working] <= 1.2 * 6.0).all()
+    assert all(len({*each}) == 3 for each in others[working])
+    assert np.array_equal(copied.limbs, walk.limbs.repeat(3, axis=0), equal_nan=True), "nobody moves"
 
 
 def test_values_are_means_over_futures(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
+from typing import Any
 
+import gymnasium
 import pytest
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, EnvConfig, EvaluateConfig
 from hrl_comfort.evaluation.rollout import rollout
 from hrl_comfort.files.run_config import environment
+from hrl_comfort.gym import OPTION_IDS
 from hrl_comfort.hierarchy.controllers import make_executor
 from hrl_comfort.hierarchy.decision import Decision
 from hrl_comfort.hierarchy.executor import OptionExecutor
+from hrl_comfort.hierarchy.look_ahead import LookAhead
 from hrl_comfort.hierarchy.options import Option, lasts
 from hrl_comfort.hierarchy.tops import nearest
+from hrl_comfort.policies.actor import Policy
+from hrl_comfort.policies.remembering import Remembering
 from hrl_comfort.scene.workcell import Scene
 from hrl_comfort.sim.engine import Engine
 from hrl_comfort.tasks import State
@@ -47,6 +54,22 @@ NAMELESS = replace(RAISE, name=3)  # type: ignore[arg-type]
 
 def made(scene: Scene, config: EnvConfig, seed: int) -> Option:
     return replace(RAISE, name=f"raise_{len(scene.joints)}")
+
+
+class Counting(nn.Module):
+    """Lifts the arm, and counts its decisions."""
+
+    memory_dim = 1
+
+    def forward(self, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        return torch.zeros(len(memory), 6), memory + 1
+
+
+def remembers(scene: Scene, config: EnvConfig, seed: int) -> Option:
+    policy = Policy(Counting(), {"task": "sort", "observation_dim": 6})
+    return replace(
+        RAISE, name="remembers", policy=Remembering(policy, lambda s: s.joint_pos, config.task.action_repeat)
+    )
 
 
 def raised_first(decision: Decision) -> Tensor:
@@ -106,6 +129,22 @@ def test_what_is_no_option_is_refused(option: str, said: str) -> None:
 def test_an_option_that_returns_something_else_is_told(option: str, said: str) -> None:
     with pytest.raises(ConfigError, match=f"^meta_controller.further_options: option 'raise': {said}$"):
         rollout(evaluation(option))
+
+
+def test_an_option_whose_policy_remembers_is_saved_with_its_memory_and_not_tried_in_copies() -> None:
+    own, config = [f"{__name__}:remembers"], evaluation("remembers")
+    engine = Engine(environment(config), 1, 0)
+    with pytest.raises(ConfigError, match=r"^the policy of remembers remembers, and cannot be tried in copies"):
+        LookAhead(engine, make_executor(config, None, engine, 0)[0])
+    quick = {"human": "none", "task.objects": 1, "task.max_episode_steps": 100}
+    env: Any = gymnasium.make(OPTION_IDS["sort"], **quick, **{"meta_controller.further_options": own}).unwrapped
+    env.reset(seed=0)
+    env.step(env.names.index("remembers"))
+    twin = copy.deepcopy(env)
+    (mine,), (its,) = (each.decision().table.memories() for each in (env, twin))
+    assert mine["after"].tolist() == its["after"].tolist() == [[5.0]]
+    env.step(0)
+    assert twin.decision().table.memories()[0]["step"].tolist() == its["step"].tolist()
 
 
 def test_a_controller_that_reads_no_options_takes_none() -> None:

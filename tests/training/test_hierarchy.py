@@ -248,6 +248,7 @@ def test_a_controller_is_evaluated_beside_people_that_its_own_training_did_not_s
         (["agent.demonstrator=expert", "agent.demonstrator_envs=16"], r"envs=16 must be below engine\.num_envs=16"),
         (["hierarchy.controller=['human=patrol']", "division=two"], "choose division=three"),
         (["meta_controller.interruption_steps=5"], r"interruption_steps=5 is for .* in task=cycle"),
+        (["task.object=orange"], r"^task\.object=orange: recorded starts need every kind; choose random, or .*=ik$"),
         (["initial_policy=runs/pick"], "initial_policy=runs/pick: train hierarchy sets it"),
     ],
 )

@@ -129,7 +129,7 @@ def test_a_learner_of_tops_stops_goes_on_bit_for_bit_and_its_file_chooses(
 
 @pytest.mark.parametrize("name", EVERY)
 def test_a_learner_of_tops_finds_the_option_that_pays_and_never_one_that_cannot_start(name: str) -> None:
-    """Option 0 pays 1 and option 1 nothing, at once and for good; option 2, which would pay 9, cannot start."""
+    """Option 0 pays 1 and option 1 nothing, at once and for good; option 2 cannot start."""
     torch.manual_seed(0)
     own = {"ppo": {"rollout": 64}, "discrete_sac": {"target_entropy": 0.05}}.get(name, {})
     made = make_learner("meta_controller_agent", agent(name, learning_rate=0.01, batch_size=32, own=own), 2, 3)

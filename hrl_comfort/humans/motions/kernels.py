@@ -228,6 +228,19 @@ def fetcher(
     return there_x, there_y, turned(yaw, who[5], heading)
 
 
+def other_stays(memory: Array, stay_s: float, uniform: Array) -> Array:
+    """Return `memory` (n, MEMORY) of `fetcher` in which who stays leaves at another time that fits what is seen.
+
+    Who has begun to draw the hands back leaves as before. uniform (n,) in [0, 1).
+    """
+    seen_s = memory[:, 1] + REACH_S
+    shortest = np.maximum(seen_s, SHORTEST * stay_s)
+    drawn = shortest + np.maximum(LONGEST * stay_s - shortest, 0.0) * uniform
+    changed = memory.copy()
+    changed[:, 2] = np.where((memory[:, 1] > 0) & (seen_s < memory[:, 2]), drawn, memory[:, 2])
+    return changed
+
+
 @kernel
 def strength(apart_x: float, apart_y: float, approach_x: float, approach_y: float) -> float:
     """Return the logarithm of more than the size of `social_force`, of the same arguments.
