@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import is_dataclass, replace
+from functools import partial
 from typing import Any, Protocol
 
+import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 
@@ -22,11 +24,15 @@ from hrl_comfort.agents.tops.options import OptionLearner
 from hrl_comfort.agents.tops.ppo import PPO
 from hrl_comfort.agents.tqc import TQC
 from hrl_comfort.config import AgentConfig, ConfigError, MetaControllerAgentConfig
-from hrl_comfort.config.checks import implemented, own_keys, part
+from hrl_comfort.config.checks import implemented, own_keys, part, takes
 from hrl_comfort.config.hierarchy import TOP_LEARNERS
 from hrl_comfort.config.learning import BASELINES, SKILL_LEARNERS, NoKeys
 
-METHODS = ("act", "observe", "update", "state_dict", "load_state_dict")
+METHODS = {
+    "act": ("now", "exploration"), "observe": ("transitions",), "update": (), "state_dict": (),
+    "load_state_dict": ("state",),
+}  # fmt: skip
+"""Methods of a learner, and their arguments."""
 
 
 class Learner(Protocol):
@@ -118,9 +124,63 @@ def make_learner(
     Raises:
       ConfigError: it is not there, has other keys, or keeps no policy.
     """
-    kind = learner_class(key, config.name)
-    own = own_keys(key, config.name, getattr(kind, "Keys", NoKeys), config.own)
+    kind, named, built_in = learner_class(key, config.name), f"{key}.name={config.name!r}", config.name in KNOWN[key]
+    keys = getattr(kind, "Keys", NoKeys)
+    if not built_in:
+        if not is_dataclass(keys):
+            raise ConfigError(f"{named}: Keys must be a dataclass")
+        takes(named, kind, "config, observation_dim, actions, own")
+        for method, arguments in METHODS.items():
+            takes(f"{named}: {method}", getattr(kind, method), ", ".join(["self", *arguments]))
+    own = own_keys(key, config.name, keys, config.own)
     made = kind(config, observation_dim, actions, own)
-    if config.name not in KNOWN[key] and not isinstance(getattr(made, "policy", None), nn.Module):
-        raise ConfigError(f"{key}.name={config.name!r} has no policy, a torch module of observations")
+    if not built_in:
+        _check_policy(named, getattr(made, "policy", None), observation_dim, actions)
+        made.act = partial(_acted, named, made.act, actions)
     return made
+
+
+def _acted(named: str, act: Callable[..., Any], actions: int, now: TensorDictBase, exploration: float) -> Tensor:
+    """Return what a learner of users chooses: actions (N, A), or of a top options (N,) that can start.
+
+    Raises:
+      ConfigError: it is something else.
+    """
+    action, rows, mask = act(now, exploration), len(now), now.get("action_mask", None)
+    said = f"{action.dtype} of shape {tuple(action.shape)}" if isinstance(action, Tensor) else type(action).__name__
+    said = f"{named}: act returned {said.removeprefix('torch.')}"
+    if mask is None:
+        wanted = f"{said}; it must return finite floats of shape ({rows}, {actions})"
+        if not isinstance(action, Tensor) or action.shape != (rows, actions) or not action.is_floating_point():
+            raise ConfigError(wanted)
+        if not bool(action.isfinite().all()):
+            raise ConfigError(wanted)
+        return action
+    if not isinstance(action, Tensor) or action.shape != (rows,) or action.dtype != torch.int64:
+        raise ConfigError(f"{said}; it must return int64 of shape ({rows},)")
+    able = mask.gather(1, action.clamp(0, actions - 1)[:, None]).squeeze(1) & (action >= 0) & (action < actions)
+    if bool((odd := now["deciding"].reshape(-1) & ~able).any()):
+        row = int(torch.nonzero(odd)[0])
+        can = ", ".join(map(str, torch.nonzero(mask[row]).squeeze(-1).tolist()))
+        raise ConfigError(f"{named}: act chose option {int(action[row])} in row {row}, which cannot start; {can} can")
+    return action
+
+
+def _check_policy(named: str, policy: Any, observation_dim: int, actions: int) -> None:
+    """Raise ConfigError unless `policy` is a module that returns `actions` finite numbers for an observation."""
+    if not isinstance(policy, nn.Module):
+        raise ConfigError(f"{named} has no policy, a torch module of observations")
+    memory, trains = getattr(policy, "memory_dim", None), policy.training
+    given = [torch.zeros(1, width) for width in (observation_dim, memory) if width is not None]
+    with torch.no_grad(), torch.random.fork_rng(devices=[]):
+        try:
+            found = policy.eval()(*given)
+        except (RuntimeError, TypeError, ValueError) as error:
+            said = str(error).splitlines()[0]
+            raise ConfigError(f"{named}: policy of {observation_dim} observations failed: {said}") from error
+        finally:
+            policy.train(trains)
+    action = found if memory is None else found[0]
+    if not isinstance(action, Tensor) or action.shape != (1, actions) or not action.isfinite().all():
+        said = str(tuple(action.shape)) if isinstance(action, Tensor) else type(action).__name__
+        raise ConfigError(f"{named}: policy returned {said}; it must return finite numbers of shape (1, {actions})")

@@ -87,7 +87,7 @@ def measure(
     Raises:
       ConfigError: what is `done` is of other shifts, or of another world, or `lookahead` would know ahead what happens.
     """
-    config.check_ahead()
+    config.check_ahead(LOOKAHEAD)
     names = {f"{LEARNED} {folder}": told for folder, told in learners_and_seeds(learned).items()}
     flat = [name for name, (learner, _) in names.items() if learner.startswith(f"{FLAT} ")]
     for name in flat:

@@ -49,7 +49,8 @@ def compose_options(task: str, choices: Mapping[str, object], run: str | None) -
     named = choices.get("policies", {})
     if not isinstance(named, Mapping):
         raise ConfigError(f"policies={named!r} must be a mapping, such as {{'pick': 'runs/demo/pick'}}")
-    words = {"meta_controller": "nearest", **given, **asked, **_skills(named)}
+    top = "learned" if "policies.meta_controller" in given else "nearest"
+    words = {"meta_controller": top, **given, **asked, **_skills(named)}
     try:
         config = compose("evaluate", [override(key, value) for key, value in words.items()])
     except UnknownKeyError as error:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from hrl_comfort.config import HIERARCHY, SORTING, ConfigError, HierarchyTrainConfig, StudioConfig
+from hrl_comfort.config.hierarchy import CYCLE
 from hrl_comfort.config.overrides import override
 from hrl_comfort.files.run_config import load_config, trained_environment
 
@@ -14,7 +15,6 @@ DEMO = Path("runs/demo")
 """Run of `make demo`."""
 CHAIN = {"meta_controller": "nearest", "task": "cycle"}
 """Overrides of a chain, unless others are given."""
-CYCLE = ("pick", "place", "return")
 
 
 def options_in(folder: Path) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from functools import cache, partial
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from inspect import signature
 from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
@@ -164,6 +165,20 @@ def function(key: str, name: str, known: Mapping[str, T]) -> T:
     if not callable(found):
         raise ConfigError(f"{key}={name!r} is of type {type(found).__name__}; it must be a function")
     return found
+
+
+def takes(key: str, function: Any, arguments: str) -> None:
+    """Raise ConfigError unless a function can be called with `arguments`, names with commas; builtins do not say."""
+    try:
+        found = signature(function)
+    except ValueError:
+        return
+    except TypeError:
+        raise ConfigError(f"{key} is of type {type(function).__name__}; it must be a function of {arguments}") from None
+    try:
+        found.bind(*arguments.split(", "))
+    except TypeError as error:
+        raise ConfigError(f"{key} must be a function of {arguments}; its own are {found}: {error}") from None
 
 
 def implemented(names: tuple[str, ...], parts: Mapping[str, T]) -> dict[str, T]:

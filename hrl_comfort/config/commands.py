@@ -155,13 +155,13 @@ class EvaluateConfig(EnvConfig):
             )
         if self.policies and not chained:
             raise ConfigError("policies.* go with a meta-controller: meta_controller=nearest")
-        if self.meta_controller.name == LOOKAHEAD:
-            self.check_ahead()
+        self.meta_controller.check_policies(self.task.name, self.policies)
+        self.check_ahead(self.meta_controller.name)
         if self.regret and not chained:
             raise ConfigError("regret=true judges the choices of a meta-controller; give one, or regret=false")
         several = f"checkpoints={self.checkpoints}"
-        if self.checkpoints != "none" and (self.record or self.terminal_states is not None):
-            raise ConfigError(f"{several} goes with record=false and without terminal_states=")
+        if self.checkpoints != "none" and (self.record or self.regret or self.terminal_states is not None):
+            raise ConfigError(f"{several} goes with record=false and regret=false, and without terminal_states=")
         if self.checkpoints != "none" and self.split == "test":
             raise ConfigError(f"{several} chooses among checkpoints, which split=test is not for; use validation")
         if self.terminal_states is not None and self.split == "test":
@@ -172,17 +172,19 @@ class EvaluateConfig(EnvConfig):
         between("episodes", self.episodes, 1, most if self.terminal_states is None else 10**6)
         between("episode_seed", self.first_seed, first, last)
 
-    def check_ahead(self) -> None:
-        """Raise ConfigError if `lookahead` would know ahead what people, levels or disturbances do."""
+    def check_ahead(self, top: str) -> None:
+        """Raise ConfigError if `top`, or a judge of it, would know too much ahead of this world, or nothing."""
         motions = {name for each in self.human.everyone for name in (each.motion, *each.mixture)}
-        check_ahead(motions, self.comfort.source, self.disturbance)
+        check_ahead(ORACLE if self.regret else top, motions, self.comfort.source, self.disturbance)
+        check_ahead(top, motions, self.comfort.source, self.disturbance)
 
     @property
     def first_seed(self) -> int:
         """Seed of the first episode."""
         return SPLITS[self.split][0] if self.episode_seed is None else self.episode_seed
 
-    def _check_left_out(self) -> None:
+    def check_left_out(self) -> None:
+        """Raise ConfigError if a key is set that evaluations alone read."""
         for key, default in ("checkpoints", "none"), ("levels", []), ("terminal_states", None), ("regret", False):
             if (value := getattr(self, key)) != default:
                 raise ConfigError(f"{key}={value} is for hrl-comfort evaluate; leave it out")
@@ -220,7 +222,7 @@ class StudioConfig(EvaluateConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check_left_out()
+        self.check_left_out()
 
 
 @dataclass(frozen=True)
@@ -233,7 +235,7 @@ class DeployConfig(EvaluateConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check_left_out()
+        self.check_left_out()
         self.connection.check_moves(self.robot.gripper)
         if self.robot.rating == "paper":
             raise ConfigError("robot.rating=paper has no limits to keep to; choose robot.rating=collaborative or full")

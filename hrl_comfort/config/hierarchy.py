@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any
 
@@ -19,6 +20,8 @@ STEADY = ("none", "fixed", "random")
 META_OBSERVATIONS = ("default", "jobs")
 OBSERVED = {"default": (18, 9), "jobs": (15, 12)}
 """Numbers that a top observes of all, and of each object, by META_OBSERVATIONS."""
+CYCLE = ("pick", "place", "return")
+"""Skills of the tasks SORTING."""
 FURTHER_OPTIONS = "meta_controller.further_options"
 OPTION_KEYS: dict[str, Any] = {
     "level_override": [], "max_waits": None, "interruption_steps": None, "further_options": [],
@@ -76,6 +79,18 @@ class MetaControllerConfig:
         if self.order and self.name != "fixed":
             raise ConfigError(
                 f"meta_controller.order={self.order} is for meta_controller=fixed, not for {self.name}; choose []"
+            )
+
+    def check_policies(self, task: str, policies: Iterable[str]) -> None:
+        """Raise ConfigError if one of `policies` is of no part that this controller has in `task`."""
+        parts = [
+            *(CYCLE if task in SORTING else self.options),
+            *(["meta_controller"] if self.name == "learned" else []),
+        ]
+        if self.name != "none" and (odd := [name for name in policies if name not in parts]):
+            raise ConfigError(
+                f"policies.{odd[0]} is not used by meta_controller={self.name} in task={task}; its parts are "
+                f"{', '.join(parts)}"
             )
 
 
@@ -140,7 +155,7 @@ class MetaControllerAgentConfig:
     """Update rate of the target network."""
     ema_rate: Annotated[float, within(1e-6, 1.0)]
     """Weight of the latest network in the moving average that is saved; 1 saves the latest."""
-    gamma: Annotated[float, within(0.0, 1.0)]
+    gamma: Annotated[float, within(0.001, 1.0)]
     """Discount factor of a control step; an option of k steps has gamma**k."""
     n_step: Annotated[int, within(1, 100)]
     """Number of choices whose discounted rewards count before the value of the observation after them (n-step returns,
@@ -187,8 +202,18 @@ class MetaControllerAgentConfig:
             object.__setattr__(self, "own", asdict(own))  # with its defaults, so that config.yaml has all
 
 
-def check_ahead(motions: set[str], source: str, disturbance: str) -> None:
-    """Raise ConfigError if `lookahead` would know what lies ahead: of people, comfort levels or disturbances."""
+def check_ahead(top: str, motions: set[str], source: str, disturbance: str) -> None:
+    """Raise ConfigError if `top` looks ahead, and copies of the cell do not know what people do.
+
+    Likewise if `lookahead` would know ahead what people, comfort levels or disturbances do.
+    """
+    if top == ORACLE and "live" in motions:
+        raise ConfigError(
+            f"human.motion=live: meta_controller={ORACLE} and regret=true need copies that know what people will do; "
+            "choose another motion"
+        )
+    if top != LOOKAHEAD:
+        return
     for said, known, remedy in (
         ("human.motion", motions & {"recorded", "live"}, "another motion"),
         ("comfort.source", {source} - {*STEADY}, ", ".join(STEADY)),

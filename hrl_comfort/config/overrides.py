@@ -208,7 +208,12 @@ def _checked(root: str, parsed: Override, line: str) -> str:
             raise ConfigError(f"{line} is a pattern; list the choices: {key}={','.join(allowed[key][:2])}")
         swept = parsed.sweep_string_iterator() if parsed.is_sweep_override() else [parsed.value()]
         values = [str(value).replace("\\:", ":") for value in swept]  # Hydra escapes colons
-        if key in NAMES and all(value in plugins(NAMES[key]) or is_object(value) for value in values):
+        if own := [value for value in values if key in NAMES and (value in plugins(NAMES[key]) or is_object(value))]:
+            if len(own) < len(values):
+                raise ConfigError(
+                    f"{line} mixes {own[0]} with choices of this package, which set other keys too; run them one by "
+                    f"one, or sweep {NAMES[key]}={','.join(values)}"
+                )
             return f"{NAMES[key]}={line.split('=', 1)[1]}"
         for value in values:
             if value not in allowed[key] and not (key == "experiment" and parsed.value() is None):

@@ -16,7 +16,7 @@ from hrl_comfort.analysis.tables import HEADLINE, cells, in_terminal
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.evaluation.ledger import SHARES
 from hrl_comfort.evaluation.rollout import Result, rollout
-from hrl_comfort.files.atomic import all_or_none
+from hrl_comfort.files.atomic import all_or_none, overwrites
 from hrl_comfort.files.documents import damaged
 from hrl_comfort.files.provenance import policy_steps, step_files
 from hrl_comfort.files.run_config import is_same, load_config, save_config
@@ -54,7 +54,7 @@ def evaluate_grid(config: EvaluateConfig) -> Path:
     """Evaluate every combination of the light checkpoints of a chain's runs; write grid.csv and grid.png.
 
     A part that is not a run folder is the same in all of them. The table grows by one combination at a time: the
-    command goes on where it was stopped.
+    command goes on where it was stopped, or begins anew with `--overwrite`.
 
     Raises:
       ConfigError: fewer than two parts have several checkpoints.
@@ -66,15 +66,20 @@ def evaluate_grid(config: EvaluateConfig) -> Path:
             f"checkpoints=grid: {', '.join(varied) or 'no part'} has several checkpoints in checkpoints/; give two run "
             "folders or more as policies.*, or choose checkpoints=all"
         )
-    rows = _rows_so_far(output, config, found)
-    if not rows:  # those of another command
-        (output / "grid.csv").unlink(missing_ok=True)
+    rows = [] if overwrites() else _rows_so_far(output, config, found)
     done = {tuple(row[name] for name in found) for row in rows}
-    save_config(config, output / "config.yaml")
+    if done:
+        print(f"{len(done)} combinations are in {output / 'grid.csv'}; --overwrite measures them again")
     for files in product(*found.values()):
-        if tuple(map(policy_steps, files)) not in done:
-            rows += _evaluate(config, dict(zip(found, files, strict=True)))[1]
-            write_table(output / "grid.csv", list(rows[0]), (row.values() for row in rows))
+        if tuple(map(policy_steps, files)) in done:
+            continue
+        latest = _evaluate(config, dict(zip(found, files, strict=True)))[1]
+        if not rows:  # what is there is of another command
+            for name in ("grid.csv", "grid.png"):
+                (output / name).unlink(missing_ok=True)
+            save_config(config, output / "config.yaml")
+        rows += latest
+        write_table(output / "grid.csv", list(rows[0]), (row.values() for row in rows))
     save_png(checkpoint_grid(DataFrame(rows), varied), output / "grid.png")
     _print(sorted(rows, key=lambda row: -row["success"])[:BEST], varied)
     return output

@@ -46,8 +46,17 @@ def save_controller(
 
 
 def choice_file(source: Path) -> Path:
-    """Return the file of the trained meta-controller at `source`, a run folder or the file itself."""
-    return source / "meta_controller.pt" if source.is_dir() else source
+    """Return the file of the trained meta-controller at `source`, a run folder or the file itself.
+
+    Raises:
+      ConfigError: it is not there.
+    """
+    file = source / "meta_controller.pt" if source.is_dir() else source
+    if not file.is_file():
+        raise ConfigError(
+            f"policies.meta_controller={str(source)!r}: {file} is not there; give the folder of train meta_controller"
+        )
+    return file
 
 
 class Learned:
@@ -113,12 +122,13 @@ def load_choice(
         )
     if not hidden or not all(type(width) is int and 1 <= width <= WIDEST for width in hidden):
         raise ConfigError(f"{key} is damaged: its hidden is {hidden}, not one or more widths of 1 to {WIDEST}")
-    network = _network(key, spec, weights, len(options))
-    if not all(w.is_floating_point() and w.isfinite().all() for w in network.state_dict().values()):
+    network, learner = _network(key, spec, weights, len(options)), spec.get("learner", "dqn")
+    built_in = learner in TOPS
+    floats = not built_in or all(each.is_floating_point() for each in network.state_dict().values())
+    if not floats or not all(each.isfinite().all() for each in network.state_dict().values()):
         raise ConfigError(f"{key} is damaged: its weights are not all finite numbers")
     network.float()
-    learner = spec.get("learner", "dqn")
-    return Learned(network, levels, layout, TOPS[learner].quantity if learner in TOPS else "score")
+    return Learned(network, levels, layout, TOPS[learner].quantity if built_in else "score")
 
 
 def _network(key: str, spec: dict[str, Any], weights: dict[str, Tensor], options: int) -> nn.Module:

@@ -41,6 +41,7 @@ class OptionCells(Cells):
         observation: str | None = None,
     ) -> None:
         between("gamma", gamma, 1e-3, 1.0)
+        config.check_left_out()
         self._layout, self.gamma = observation, gamma
         super().__init__(config, num_envs, render_mode)
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from hrl_comfort.config import ConfigError, EnvConfig, MetaControllerConfig
-from hrl_comfort.config.checks import part
+from hrl_comfort.config.checks import part, takes
 from hrl_comfort.config.hierarchy import FURTHER_OPTIONS
 from hrl_comfort.hierarchy.options import Choice, Option
 from hrl_comfort.policies.remembering import Remembering
@@ -49,6 +49,7 @@ def with_own(
             raise ConfigError(
                 f"{FURTHER_OPTIONS}={name!r} is named {made.name!r}; a name is a string that is not empty"
             )
+        _check_fields(f"{FURTHER_OPTIONS}={name!r}", made)
         taken = [each.name for each in found]
         if made.name in taken:
             raise ConfigError(
@@ -56,6 +57,16 @@ def with_own(
             )
         found.append(_checked(made, action_dim(scene, config.task)))
     return found
+
+
+def _check_fields(key: str, option: Option) -> None:
+    """Raise ConfigError unless functions take what they are given, and limits are whole numbers above 0, or None."""
+    for name, arguments in ("policy", "state"), ("initiation", "state"), ("termination", "state, begun"):
+        takes(f"{key}: {name}", getattr(option, name), arguments)
+    for name in ("time_limit", "interruption_steps", "max_runs"):
+        value = getattr(option, name)
+        if value is not None and not (type(value) is int and value > 0):
+            raise ConfigError(f"{key}: {name}={value!r} must be a whole number above 0, or None")
 
 
 def _checked(option: Option, width: int) -> Option:
@@ -75,10 +86,20 @@ def _checked(option: Option, width: int) -> Option:
         return action
 
     def initiation(state: Any) -> Tensor:
-        return tested("initiation", option.initiation(state), tuple(state.stage.shape)).to(torch.bool)
+        able = tested("initiation", option.initiation(state), tuple(state.stage.shape))
+        if able.dtype != torch.bool:
+            raise ConfigError(f"{key}: initiation returned {able.dtype}; it must return torch.bool")
+        return able
 
     def termination(state: Any, begun: Any) -> Tensor:
-        return tested("termination", option.termination(state, begun), tuple(state.stage.shape))
+        ends = tested("termination", option.termination(state, begun), tuple(state.stage.shape))
+        likely = ends.is_floating_point() and bool(((ends >= 0) & (ends <= 1)).all())
+        if ends.dtype != torch.bool and not likely:
+            raise ConfigError(
+                f"{key}: termination returned {ends.dtype}, {ends.tolist()}; it must return torch.bool, or floats in "
+                "[0, 1]"
+            )
+        return ends
 
     own = option.policy if isinstance(option.policy, Remembering) else policy  # its memory is copied, saved and refused
     return replace(option, policy=own, initiation=initiation, termination=termination)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from hrl_comfort.comfort.terms import human_distance
 from hrl_comfort.config import SORTING, ConfigError, EvaluateConfig
-from hrl_comfort.config.checks import implemented, one_of, part
+from hrl_comfort.config.checks import implemented, one_of, part, takes
 from hrl_comfort.config.hierarchy import RULES as RULE_NAMES
 from hrl_comfort.config.hierarchy import TOPS as NAMES
 from hrl_comfort.hierarchy.decision import KEY, VALUE, Choose, Decision, Top
@@ -57,6 +57,9 @@ def _top(name: str, found: Any) -> Top:
     choose = getattr(found, "choose", found)
     if not callable(choose):
         raise ConfigError(f"{KEY}={name!r} is of type {type(found).__name__}; it must be callable or have choose")
+    takes(f"{KEY}={name!r}", choose, "decision")
+    if (begin := getattr(found, "begin", None)) is not None:
+        takes(f"{KEY}={name!r}: begin", begin, "rows")
     values, quantity = getattr(found, "values", None), getattr(found, "quantity", VALUE)
     told = values if callable(values) else None
     return Top(name, choose, getattr(found, "begin", None), values=told, quantity=quantity)

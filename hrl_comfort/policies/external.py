@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hrl_comfort.config import ConfigError
+from hrl_comfort.config.checks import takes
 
 SB3 = "sb3:"
 """Prefix of a file that Stable-Baselines3 saved."""
@@ -82,6 +83,7 @@ def from_function(source: str, function: Any) -> ObservationPolicy:
         raise ConfigError(f"policy={source!r} is a class that cannot be made without arguments: {error}") from error
     if not callable(function):
         raise ConfigError(f"policy={source!r} is of type {type(function).__name__}; it must be callable")
+    takes(f"policy={source!r}", function, "observation")
     return ObservationPolicy(source, function)
 
 

@@ -15,12 +15,15 @@ from hrl_comfort.config import ConfigError, EnvConfig
 from hrl_comfort.humans import EvaluationSet
 from hrl_comfort.scene.workcell import Scene, scene_of
 from hrl_comfort.sim.episodes import Episodes
-from hrl_comfort.sim.futures import redraw
 from hrl_comfort.sim.physics import Physics, Rollout
 from hrl_comfort.sim.step_result import StepResult
+from hrl_comfort.sim.variation.random_streams import random_stream
 from hrl_comfort.tasks import State
 
 Array = NDArray[np.float64]
+
+FUTURE_STREAM = 64
+"""Stream of random numbers of futures, beside those of `sim.episode_sampler`."""
 
 
 class Engine:
@@ -111,7 +114,7 @@ class Engine:
     def copies(self, rows: Tensor, futures: Tensor | None = None) -> Engine:
         """Return an engine of r cells that go on as those of `rows` (r,) int64 would, to the end of their episodes.
 
-        With `futures` (r,) int64 as they might; see `sim.futures`.
+        With `futures` (r,) int64 as they might; see `redraw`.
         """
         engine = Engine(self.episodes.config, len(rows), 0, **self._alike)
         engine.load_state_dict(of_rows(self.state_dict(), rows))
@@ -129,6 +132,24 @@ class Engine:
         rows, state = np.arange(self.num_envs), saved["physics"].numpy()
         self.physics.begin(rows, state[:, 1:], self.episodes.values())
         self.physics.state[:] = state
+
+
+def redraw(episodes: Episodes, futures: NDArray[np.int64]) -> None:
+    """Let the rest of the episodes of N cells be that of the `futures` (N,): people move, and orders come, otherwise.
+
+    Cells at one step of one episode have the same future of a number. Who people are stays.
+    """
+    assert episodes.state is not None
+    draw, steps = episodes.draw, episodes.state.steps.tolist()
+    stays = np.empty(draw.noise.shape[::2])
+    for row, (now, future) in enumerate(zip(steps, futures.tolist(), strict=True)):
+        rng = random_stream(int(draw.key[row]), (FUTURE_STREAM << 48) + (now << 16) + future)
+        later = draw.noise[row, now:]
+        later[:] = rng.random(later.shape)
+        order = rng.permutation(len(draw.due[row]))
+        draw.arriving[row], draw.due[row] = draw.arriving[row, order], draw.due[row, order]
+        stays[row] = rng.random(len(stays[row]))
+    episodes.people.stay(stays)
 
 
 def with_rows(saved: Any, rows: Tensor, theirs: Any) -> Any:

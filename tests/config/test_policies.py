@@ -55,6 +55,34 @@ def test_a_task_takes_from_a_run_all_nested_keys_but_those_that_its_own_file_set
     assert (found.grasp_tolerance_m, found.place_tolerance_m) == tolerances_m
 
 
+@pytest.mark.parametrize(
+    ("root", "words", "parts"),
+    [
+        (
+            "evaluate",
+            ["task=kitting", "meta_controller=nearest", "policies.meta_controller=runs/c"],
+            "pick, place, return",
+        ),
+        ("evaluate", ["task=cycle", "meta_controller=nearest", "division=one", "policies.pick=expert"], "cycle"),
+        (
+            "evaluate",
+            ["task=sort", "meta_controller=learned", "policies.foo=x"],
+            "pick, place, return, meta_controller",
+        ),
+        ("train_meta_controller", ["policies.foo=expert"], "pick, place, return"),
+    ],
+)
+def test_a_policy_of_no_part_is_refused(root: str, words: list[str], parts: str) -> None:
+    with pytest.raises(ConfigError, match=rf"^policies\.\w+ is not used by .*; its parts are {parts}$"):
+        compose(root, words)
+
+
+@pytest.mark.parametrize("words", [["meta_controller=oracle"], ["meta_controller=due", "regret=true"]])
+def test_a_live_person_is_in_no_copy(words: list[str]) -> None:
+    with pytest.raises(ConfigError, match=r"^human\.motion=live: .* need copies that know what people will do"):
+        compose("evaluate", ["task=kitting", "human=live", *words])
+
+
 OWN_CELL = """
 base_height_m: 0.75
 places: {tray: {top_m: [0.45, 0.0, 0.1], size_m: [0.3, 0.3]}, shelf: {top_m: [-0.3, 0.4, 0.2], size_m: [0.2, 0.2]}}

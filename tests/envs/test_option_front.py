@@ -159,6 +159,13 @@ def test_the_world_and_skills_of_a_controllers_training_are_taken(tmp_path: Any)
         options_of("shift", {}, tmp_path)
 
 
+@pytest.mark.parametrize("key", ["levels", "regret", "checkpoints"])
+def test_what_only_an_evaluation_reads_is_refused(key: str) -> None:
+    value = {"levels": [1], "regret": True, "checkpoints": "all"}[key]
+    with pytest.raises(ConfigError, match=rf"^{key}=.* is for hrl-comfort evaluate; leave it out$"):
+        made(**{key: value})
+
+
 def test_a_copy_goes_on_where_it_is() -> None:
     env = made("kitting", human="fetcher", **{"task.max_episode_steps": 3000})
     env.reset(seed=0)

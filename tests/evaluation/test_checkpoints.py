@@ -13,6 +13,7 @@ from hrl_comfort.composition.own_files import with_own_files
 from hrl_comfort.config import ConfigError, EvaluateConfig
 from hrl_comfort.evaluation import checkpoints
 from hrl_comfort.evaluation.evaluate import evaluate
+from hrl_comfort.files.atomic import OVERWRITE
 from hrl_comfort.files.provenance import step_path
 from hrl_comfort.files.tables import read_table
 
@@ -73,9 +74,20 @@ def test_a_grid_has_every_combination_and_goes_on_where_it_was_stopped(
     assert table[["pick", "place"]].to_numpy().tolist() == [[1000, 500], [1000, 1500], [2000, 500], [2000, 1500]]
     assert table["policy_steps"].tolist() == [1500, 2500, 2500, 3500] and (table["success"] == 1).all()
     ran.clear()
+    evaluate(grid(runs))
+    assert ran == [], "it is whole"
+    monkeypatch.setattr(checkpoints, "rollout", rollout)
+    files = {name: (runs / "grid" / name).read_bytes() for name in ("grid.csv", "grid.png", "config.yaml")}
+    with pytest.raises(ConfigError, match="gone"):
+        evaluate(grid(runs, "policies.return=gone:act"))
+    assert all((runs / "grid" / name).read_bytes() == content for name, content in files.items())
+    ran.clear()
     monkeypatch.setattr(checkpoints, "rollout", lambda config: ran.append(config.policies) or rollout(config))
     evaluate(grid(runs, "episodes=1"))
     assert len(ran) == 4, "another command begins anew"
+    monkeypatch.setenv(OVERWRITE, "1")
+    evaluate(grid(runs, "episodes=1"))
+    assert len(ran) == 8
 
 
 def test_a_grid_needs_two_parts_that_differ(runs: Path) -> None:
@@ -84,6 +96,8 @@ def test_a_grid_needs_two_parts_that_differ(runs: Path) -> None:
         evaluate(grid(runs, alone))
     with pytest.raises(ConfigError, match="checkpoints=grid chooses among checkpoints, which split=test is not for"):
         grid(runs, "split=test")
+    with pytest.raises(ConfigError, match="checkpoints=grid goes with record=false and regret=false"):
+        grid(runs, "regret=true")
 
 
 def test_a_checkpoint_is_named_by_its_steps_or_as_the_best(runs: Path) -> None:

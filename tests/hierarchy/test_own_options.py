@@ -49,6 +49,12 @@ ODD = replace(RAISE, initiation=lambda state: state.joint_pos > 0)
 NEVER_OVER = replace(RAISE, termination=lambda state, begun: False)  # type: ignore[arg-type, return-value]
 
 
+NEGATIVE = replace(RAISE, termination=lambda state, begun: torch.full((len(state.stage),), -2.0))
+WHOLE = replace(RAISE, termination=lambda state, begun: torch.ones(len(state.stage), dtype=torch.int64))
+UNSURE = replace(RAISE, initiation=lambda state: torch.full((len(state.stage),), torch.nan))
+ENDED = replace(RAISE, time_limit=-1)
+SPELLED = replace(RAISE, max_runs="2")  # type: ignore[arg-type]
+BLIND = replace(RAISE, termination=lambda state: at_start(state))  # type: ignore[arg-type, misc]
 NAMELESS = replace(RAISE, name=3)  # type: ignore[arg-type]
 
 
@@ -110,6 +116,9 @@ def test_a_function_makes_an_option_for_the_scene() -> None:
         ("missing", "has no missing"),
         ("raise_arm", r"failed: TypeError: raise_arm\(\) takes 1 positional argument but 3 were given"),
         ("NAMELESS", "is named 3; a name is a string that is not empty"),
+        ("ENDED", "ENDED': time_limit=-1 must be a whole number above 0, or None"),
+        ("SPELLED", "SPELLED': max_runs='2' must be a whole number above 0, or None"),
+        ("BLIND", r"BLIND': termination must be a function of state, begun; its own are \(state\): too many"),
     ],
 )
 def test_what_is_no_option_is_refused(option: str, said: str) -> None:
@@ -123,6 +132,9 @@ def test_what_is_no_option_is_refused(option: str, said: str) -> None:
         ("WIDE", r"policy returned shape \(1, 9\); it must return a tensor of shape \(1, 6\)"),
         ("ENDLESS", "policy returned actions that are not finite"),
         ("ODD", r"initiation returned shape \(1, 6\); it must return a tensor of shape \(1,\)"),
+        ("NEGATIVE", r"termination returned torch.float32, \[-2.0\]; it must return torch.bool, or floats in \[0, 1\]"),
+        ("WHOLE", r"termination returned torch.int64, \[1\]; it must return torch.bool, or floats in \[0, 1\]"),
+        ("UNSURE", "initiation returned torch.float32; it must return torch.bool"),
         ("NEVER_OVER", r"termination returned type bool; it must return a tensor of shape \(1,\)"),
     ],
 )

@@ -89,6 +89,13 @@ class Wordy(Counting):
 class Data(Counting):
     values = {"pick_1": 0.5}
 
+class Early(Turns):
+    def begin(self):
+        pass
+
+def pair(decision, other):
+    return first(decision)
+
 NOBODY = 3
 """
 
@@ -196,10 +203,17 @@ def test_a_top_with_a_memory_is_told_where_an_episode_begins() -> None:
     assert sys.modules["deciders"].BEGUN == [[True] * 3]
 
 
-@pytest.mark.parametrize("task", [["task=cycle"], ["task=cycle", "division=one", "policies={cycle: random}"]])
-def test_a_chain_takes_any_top_that_needs_no_option_of_its_own(task: list[str]) -> None:
+@pytest.mark.parametrize("skills", [SKILLS, ["division=one", "policies.cycle=random"]])
+def test_a_chain_takes_any_top_that_needs_no_option_of_its_own(skills: list[str]) -> None:
     for name in ("fixed", "random", "deciders:first"):
-        words = [*SKILLS, *task, f"meta_controller={name}", "human=none", "episodes=2", "task.max_episode_steps=40"]
+        words = [
+            *skills,
+            "task=cycle",
+            f"meta_controller={name}",
+            "human=none",
+            "episodes=2",
+            "task.max_episode_steps=40",
+        ]
         assert len(rollout(compose("evaluate", words)).episodes) == 2  # type: ignore[arg-type]
 
 
@@ -210,6 +224,8 @@ def test_a_chain_takes_any_top_that_needs_no_option_of_its_own(task: list[str]) 
         ("deciders:short", r"returned int64 of shape \(1,\); it must return 6 indices of options"),
         ("deciders:last", r"chose 'retreat' in row 0, which cannot start now; pick_1, pick_2, pick_3, pick_1_as_10, "),
         ("deciders:beyond", "chose 99 in row 0, which cannot start now; "),
+        ("deciders:pair", r" must be a function of decision; its own are \(decision, other\): missing a required"),
+        ("deciders:Early", r": begin must be a function of rows; its own are \(\): too many positional"),
         ("deciders:NOBODY", "is of type int; it must be callable or have choose"),
         ("deciders:nobody", r": .*deciders.py has no nobody"),
         ("nowhere:choose", "cannot be imported: No module named 'nowhere'"),

@@ -48,6 +48,8 @@ class Still:
 number = 3
 def ragged(seen):
     return [[0.0] * 6, [0.0]]
+def pair(one, two):
+    return ragged(one)
 class Needing:
     def __init__(self, needed):
         pass
@@ -90,6 +92,7 @@ def test_a_function_of_a_module_a_callable_and_the_command_give_the_same_episode
         ("somebody:unbatched", r"returned shape \(6,\); actions have shape \(2, 6\)"),
         ("somebody:undefined", "returned actions that are not finite"),
         ("somebody:ragged", "returned list without a shape"),
+        ("somebody:pair", r"must be a function of observation; its own are \(one, two\): missing a required argument"),
         ("somebody:Needing", "is a class that cannot be made without arguments: .*missing 1 required"),
         ("somebody:number", "is of type int; it must be callable"),
         ("somebody:nothing", "somebody.py has no nothing"),

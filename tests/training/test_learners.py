@@ -42,6 +42,7 @@ OF_POINTS = {
 }
 SKILLS_OF_CYCLE = ("pick", "place", "return")
 MODULE = """
+import torch
 from td3 import TD3
 
 class NoUpdate(TD3):
@@ -51,6 +52,23 @@ class NoPolicy(TD3):
     def __init__(self, *sizes):
         super().__init__(*sizes)
         del self.policy
+
+class Undefined(TD3):
+    def act(self, now, exploration):
+        return super().act(now, exploration) * float("nan")
+
+class Narrow(TD3):
+    def act(self, now, exploration):
+        return super().act(now, exploration)[:, :1]
+
+class Wide(TD3):
+    def __init__(self, config, observation_dim, actions, own):
+        super().__init__(config, observation_dim, actions, own)
+        self.policy = torch.nn.Linear(observation_dim, actions + 2)
+
+class Timeless(TD3):
+    def act(self, now):
+        return super().act(now, 0.0)
 
 def made(*sizes):
     return TD3(*sizes)
@@ -240,6 +258,10 @@ def test_the_learner_of_the_documentation_is_short_and_has_keys_of_its_own(tmp_p
     [
         (["agent=others:NoUpdate"], rf"agent\.name='others:NoUpdate' has no update; .* has {', '.join(METHODS)}$"),
         (["agent=others:NoPolicy"], r"agent\.name='others:NoPolicy' has no policy, a torch module of observations$"),
+        (["agent=others:Undefined"], r"agent\.name='others:Undefined': act returned .*; it must return finite floats"),
+        (["agent=others:Narrow"], r"agent\.name='others:Narrow': act .* of shape \(\d+, 1\); .* of shape \(\d+, 2\)$"),
+        (["agent=others:Wide"], r"agent\.name='others:Wide': policy returned \(1, 4\); .* numbers of shape \(1, 2\)$"),
+        (["agent=others:Timeless"], r"agent\.name='others:Timeless': act must be a function of self, now, expl"),
         (["agent=others:made"], r"agent\.name='others:made' is of type function; it must be a class$"),
         (["agent=others:nobody"], r"agent\.name='others:nobody': .*others\.py has no nobody$"),
         (["agent=nowhere:TD3"], r"agent\.name='nowhere:TD3' cannot be imported: No module named 'nowhere'$"),

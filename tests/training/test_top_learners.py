@@ -64,8 +64,27 @@ class Averages:
         self.policy.load_state_dict(state["policy"])
         self.count = state["count"]
         torch.set_rng_state(state["random"])
+
+class Normed(Averages):
+    def __init__(self, config, observation_dim, options, own):
+        super().__init__(config, observation_dim, options, own)
+        self.policy = torch.nn.Sequential(torch.nn.BatchNorm1d(observation_dim), self.policy)
+
+    def act(self, now, exploration):
+        return now["action_mask"].float().argmax(1)
+
+    def observe(self, transitions):
+        pass
+
+class Last(Averages):
+    def act(self, now, exploration):
+        return torch.full((len(now),), now["action_mask"].shape[1] - 1)
+
+class Wishful(Averages):
+    def act(self, now, exploration):
+        return now["action_mask"].float()
 """
-EVERY = [*TOPS, "averages:Averages"]
+EVERY = [*TOPS, "averages:Averages", "averages:Normed"]
 SHORT = (
     "task.objects=2", "human=none", "task.max_episode_steps=200", "meta_controller.time_limit_steps=20",
     *(f"policies.{name}=averages:still" for name in ("pick", "place", "return")),
@@ -209,6 +228,8 @@ def test_ppo_discounts_an_option_by_its_length_and_remembers_how_likely_it_was()
     ("words", "message"),
     [
         (["meta_controller_agent=averages:nobody"], r"meta_controller_agent\.name='averages:nobody': .*no nobody$"),
+        (["meta_controller_agent=averages:Last"], r".*: act chose option \d+ in row 0, which cannot start; 0, 1"),
+        (["meta_controller_agent=averages:Wishful"], r".*: act returned float32 of .*; .* int64 of shape \(4,\)"),
         (["meta_controller_agent=sac"], r"meta_controller_agent=sac is not a choice; choose one of discrete_sac, dqn,"),
         (["meta_controller_agent=ppo", "meta_controller_agent.own.clip=3"], r"meta_controller_agent\.own\.clip=3"),
     ],
