@@ -214,7 +214,8 @@ def top_of(name: str, config: EvaluateConfig, table: OptionTable) -> Choose:
         if (elsewhere := trained_elsewhere(Path(folder))) is not None:
             made: Choose = import_object("chooser", elsewhere["chooser"])(Path(folder), config)
             return made
-        return TOPS[LEARNED](replace(config, policies={**config.policies, "meta_controller": folder}), table, 0)
+        under, parts = replace(config.meta_controller, name=LEARNED), {**config.policies, "meta_controller": folder}
+        return TOPS[LEARNED](replace(config, meta_controller=under, policies=parts), table, 0)
     kind, *areas = name.split()
     picks = [
         f"pick_{index}"
