@@ -153,6 +153,13 @@ class OptionRewards(np.ndarray):
     gamma: float | None = None
     """Discount factor of a control step within an option; None without durations."""
 
+    def astype(self, *args: Any, **kwargs: Any) -> Any:
+        """Return a copy of a type; of the same type with the durations: VecNormalize makes one of each reward."""
+        found: Any = super().astype(*args, **kwargs)
+        if self.gamma is not None and found.dtype == self.dtype:
+            found.plain, found.duration, found.gamma = self.plain, self.duration, self.gamma
+        return found
+
 
 class OptionVecEnv(CellVecEnv):
     """N cells of which a step runs an option each, as `OptionVector`; `env_method("action_masks")` is for sb3-contrib.

@@ -12,6 +12,7 @@ from functools import cache, partial
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from inspect import signature
+from numbers import Real
 from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
@@ -53,8 +54,8 @@ def one_of(key: str, value: str, names: tuple[str, ...]) -> None:
 
 
 def between(key: str, value: float, low: float, high: float) -> None:
-    """Raise ConfigError unless `value` is in [low, high]; NaN is not."""
-    if not low <= value <= high:
+    """Raise ConfigError unless `value` is a number in [low, high]; NaN is not."""
+    if isinstance(value, bool) or not isinstance(value, Real) or not low <= value <= high:
         raise ConfigError(f"{key}={value!r} is outside its range [{low:g}, {high:g}]")
 
 

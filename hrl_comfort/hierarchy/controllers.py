@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hrl_comfort.config import POLICIES, SORTING, ConfigError, EvaluateConfig
+from hrl_comfort.config import POLICIES, SORTING, ConfigError, EvaluateConfig, MetaControllerConfig
 from hrl_comfort.config.hierarchy import LOOKAHEAD, ORACLE
 from hrl_comfort.hierarchy.decision import Top
 from hrl_comfort.hierarchy.executor import OptionExecutor
@@ -43,24 +43,31 @@ def make_executor(
     if (name := meta_controller.name) in (ORACLE, LOOKAHEAD):
         top = LookAhead(engine, executor, FUTURES if name == LOOKAHEAD else 0)
         return executor, Top(name, top, together=True, values=top.values)
-    return executor, make_top(config, table, seed)
+    made = make_top(config, table, seed)
+    if task.name not in SORTING:
+        check_unread(meta_controller)
+    return executor, made
 
 
 def _chain(config: EvaluateConfig, engine: Engine, seed: int) -> OptionTable:
     """Return the options of a task that is a chain of subtasks, with one to recover where a hand may drop things."""
     env, task, meta_controller = engine.episodes.config, engine.episodes.subtask, config.meta_controller
-    check_given(config)
-    for key, off in ("level_override", "[]"), ("max_waits", "null"):
-        if (value := getattr(meta_controller, key)) not in (None, []):
-            key = f"meta_controller.{key}"
-            raise ConfigError(f"{key}={value} is for task={', '.join(SORTING)}; choose {key}={off}")
     parts = [subtask(name, hand=config.robot.gripper.holds) for name in meta_controller.options]
     check_stages(parts, task)
+    check_given(config)
     skills = [(part, make_policy(config.policies[part.name], part, engine.scene, env, seed)) for part in parts]
     drops = any(stage.dropped is not None for stage in task.stages)
     recovering = [recovery(engine.scene, env, seed)] if drops else []
     table = chain(skills, meta_controller.time_limit_steps, recovering)
     return OptionTable(with_own([*table], meta_controller, engine.scene, env, seed))
+
+
+def check_unread(meta_controller: MetaControllerConfig) -> None:
+    """Raise ConfigError if a key is set that a chain does not read."""
+    for key, off in ("level_override", "[]"), ("max_waits", "null"):
+        if (value := getattr(meta_controller, key)) not in (None, []):
+            key = f"meta_controller.{key}"
+            raise ConfigError(f"{key}={value} is for task={', '.join(SORTING)}; choose {key}={off}")
 
 
 def check_given(config: EvaluateConfig) -> None:

@@ -16,7 +16,7 @@ from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from hrl_comfort import sb3
 from hrl_comfort.config import ConfigError
@@ -98,7 +98,8 @@ def test_a_replay_buffer_discounts_over_the_duration() -> None:
 def test_a_rollout_buffer_discounts_over_the_duration(
     learner: type[BaseAlgorithm], kind: type[RolloutBuffer], tmp_path: Path
 ) -> None:
-    env = sb3.make_vec_env(ID, 2, seed=0, gamma=GAMMA, **QUICK)
+    env: VecEnv = sb3.make_vec_env(ID, 2, seed=0, gamma=GAMMA, **QUICK)
+    env = VecNormalize(env, norm_reward=False) if learner is PPO else env
     model = learner("MlpPolicy", env, **SMALL, **ON, gamma=GAMMA, gae_lambda=1.0, rollout_buffer_class=kind).learn(16)
     buffer = model.rollout_buffer
     durations = np.log(buffer.discounts) / np.log(GAMMA)
