@@ -19,7 +19,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 from hrl_comfort import environment_of, options_of
 from hrl_comfort.config import ConfigError
 from hrl_comfort.config.checks import one_of
-from hrl_comfort.envs.cells import Array, Cells, Outcome
+from hrl_comfort.envs.cells import Array, Cells, Stepped
 from hrl_comfort.envs.gymnasium import of_batch
 from hrl_comfort.gym import IDS, OPTION_IDS
 from hrl_comfort.hierarchy.option_cells import OptionCells
@@ -112,7 +112,7 @@ class CellVecEnv(VecEnv):
                 info |= known
         return observation, self._rewards(result), done.copy(), infos
 
-    def _rewards(self, result: Outcome) -> NDArray[np.float32]:
+    def _rewards(self, result: Stepped) -> NDArray[np.float32]:
         return result.reward.float().numpy()  # type: ignore[no-any-return]
 
     def get_images(self) -> Sequence[NDArray[np.uint8]]:

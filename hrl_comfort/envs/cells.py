@@ -26,8 +26,8 @@ Array = NDArray[np.float32]
 RENDER_MODES = ("human", "rgb_array")
 
 
-class Outcome(Protocol):
-    """Outcome of a step, (N,) each."""
+class Stepped(Protocol):
+    """What a step led to, (N,) each."""
 
     @property
     def reward(self) -> Tensor:
@@ -107,7 +107,7 @@ class Cells:
         self.engine.reset(entries=entries)
         return self._seen()
 
-    def step(self, action: object, shape: tuple[int, ...]) -> tuple[Outcome, Array, dict[str, NDArray[Any]]]:
+    def step(self, action: object, shape: tuple[int, ...]) -> tuple[Stepped, Array, dict[str, NDArray[Any]]]:
         """Run a decision; return its result, the observations (N, D) and its values by name, (N,) each.
 
         `action` is (N, A), or what `shape` says. The values are those of `step_columns`, the distance NaN without a

@@ -17,7 +17,7 @@ from hrl_comfort.files.run_config import environment
 from hrl_comfort.policies.load import make_policy
 from hrl_comfort.policies.remembering import Remembering
 from hrl_comfort.training.logger import OUTCOMES
-from hrl_comfort.training.loop import Collected, Outcome
+from hrl_comfort.training.loop import Collected, EpisodeEnd
 from hrl_comfort.training.next_skill import NextSkill, NextSkillValue
 from hrl_comfort.training.other_levels import OtherLevels
 from hrl_comfort.training.t_star import TerminalStates
@@ -133,7 +133,7 @@ class SkillCollector:
             return action
         return action.index_copy(0, rows, self._demonstrator(rows).to(action.dtype))
 
-    def _end_episodes(self, after: TensorDictBase) -> list[Outcome]:
+    def _end_episodes(self, after: TensorDictBase) -> list[EpisodeEnd]:
         """Return the outcomes of the episodes that a step ended, but those of the demonstrator's environments."""
         self._returns += after["reward"][:, 0].double()
         self._terms += after["reward_terms"].double()

@@ -21,7 +21,7 @@ from hrl_comfort.progress import progress, success_of
 from hrl_comfort.training.logger import RowLog
 from hrl_comfort.training.preemption import Preempted, asked_to_stop
 
-Outcome = dict[str, float]
+EpisodeEnd = dict[str, float]
 """Success, return, control steps and so on of one episode, by column."""
 
 
@@ -31,7 +31,7 @@ class Collected:
 
     transitions: TensorDict
     """(F,): what the learner observes, with the keys of TorchRL's losses."""
-    finished: list[Outcome]
+    finished: list[EpisodeEnd]
     """Episodes that ended."""
 
 
@@ -137,7 +137,7 @@ class TrainingLoop(ABC):
         self.write_provenance(finished=True)
         checkpoint.drop_resumable(self.checkpoints)
 
-    def step(self) -> list[Outcome]:
+    def step(self) -> list[EpisodeEnd]:
         """Choose an action in every environment and take it; return the episodes that ended."""
         action = self.learner.act(self.collector.now, self.exploration)
         if self.acts_before_updates:

@@ -19,7 +19,7 @@ from hrl_comfort.policies.actor import load_initial_policy, networks_of, save_po
 from hrl_comfort.training.collector import SkillCollector, make_collector
 from hrl_comfort.training.curriculum import Curriculum, stage_list
 from hrl_comfort.training.logger import MetricsLog
-from hrl_comfort.training.loop import Outcome, TrainingLoop
+from hrl_comfort.training.loop import EpisodeEnd, TrainingLoop
 from hrl_comfort.training.resume import train_in_folder
 
 FEWEST_EPISODES = 20
@@ -121,7 +121,7 @@ class Training(TrainingLoop):
         learns = self.steps - self.stage.replay_begin > self.config.agent.learning_starts
         return steps * self.stage.config.agent.updates_per_policy_step if learns else 0.0
 
-    def step(self) -> list[Outcome]:
+    def step(self) -> list[EpisodeEnd]:
         """Make a decision in every environment, in the next stage if this one is over; return ended episodes."""
         if self.steps >= self.end:
             self.begin_stage(self.index + 1)
