@@ -93,7 +93,7 @@ def test_a_controller_that_learns_nothing_gives_every_skill_the_first_level_it_m
 def test_a_controller_that_does_not_sort_is_refused() -> None:
     with pytest.raises(ConfigError, match="train meta_controller takes task=sort"):
         compose("train_meta_controller", ["task=cycle"])
-    with pytest.raises(ConfigError, match="^meta_controller=cautious is for task=sort, .*an option to wait"):
+    with pytest.raises(ConfigError, match=r"^meta_controller=cautious is for task=sort, .*an option to wait"):
         rollout(
             compose(
                 "evaluate",
