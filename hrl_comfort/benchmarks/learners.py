@@ -56,7 +56,7 @@ def measure(path: Path, minutes: float, seeds: int) -> DataFrame:
     """Write and return a row for each task, learner and seed.
 
     Schedules need their ends before they begin, so a training has a number of policy steps: what `minutes` are worth at
-    the pace of the seeds before it, of the first at a pace that is measured.
+    the pace of the first seed, and of this one at a pace that is measured.
 
     Raises:
       ConfigError: the file is not of this command, or of other minutes, or there is nothing to measure.
@@ -80,15 +80,15 @@ def measure(path: Path, minutes: float, seeds: int) -> DataFrame:
 
 
 def steps_of(task: str, minutes: float, rows: list[dict[Hashable, Any]], seed: int) -> dict[str, int]:
-    """Return the policy steps of each learner in `minutes` of a core, by its `rows` of the task or else by `paces`."""
-    whole = [row for row in rows if math.isfinite(row["minutes"])]
-    spent = {name: [row for row in whole if row["learner"] == name] for name in LEARNERS}
-    new = {name: config_of(task, name, seed) for name, mine in spent.items() if not mine}
+    """Return the policy steps of each learner in `minutes` of a core, by the first of its `rows` or else by `paces`."""
+    first: dict[str, dict[Hashable, Any]] = {}
+    for row in rows:
+        if math.isfinite(row["minutes"]):
+            first.setdefault(row["learner"], row)
+    new = {name: config_of(task, name, seed) for name in LEARNERS if name not in first}
     per_s = paces(new) if new else {}
-    for name in spent.keys() - new.keys():
-        policy_steps, took = (sum(row[key] for row in spent[name]) for key in ("policy_steps", "minutes"))
-        per_s[name] = policy_steps / took / 60
-    return {name: round(60 * minutes * pace) for name, pace in per_s.items()}
+    per_s |= {name: row["policy_steps"] / row["minutes"] / 60 for name, row in first.items()}
+    return {name: round(60 * minutes * per_s[name]) for name in LEARNERS}
 
 
 def config_of(task: str, learner: str, seed: int, policy_steps: int | None = None) -> TrainConfig:

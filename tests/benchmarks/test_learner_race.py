@@ -51,17 +51,12 @@ def test_each_trains_for_the_steps_of_its_own_pace_and_no_seed_twice(tmp_path: P
 
 def test_a_training_that_diverged_tells_no_pace(monkeypatch) -> None:
     monkeypatch.setattr(learners, "paces", lambda of: dict.fromkeys(of, 1.0))
+    took = {"sac": [2.0, math.nan], "tqc": [math.nan, math.nan], "crossq": [math.nan, 1.0], "redq": [4.0, 2.0]}
     rows = [
         {"task": "pick", "learner": name, "seed": seed, "policy_steps": 1200, "minutes": minutes}
-        for name, *each in (
-            ("sac", 2.0, math.nan),
-            ("tqc", math.nan, math.nan),
-            ("crossq", 2.0, 1.0),
-            ("redq", 4.0, 4.0),
-        )
-        for seed, minutes in enumerate(each)
-    ]
-    assert learners.steps_of("pick", 2, rows, 2) == {"sac": 1200, "tqc": 120, "crossq": 1600, "redq": 600}
+        for name, each in took.items() for seed, minutes in enumerate(each)
+    ]  # fmt: skip
+    assert learners.steps_of("pick", 2, rows, 2) == {"sac": 1200, "tqc": 120, "crossq": 2400, "redq": 600}
 
 
 def test_all_learn_from_the_demonstrations_of_the_experiment_without_people_and_redq_with_its_many_updates() -> None:
