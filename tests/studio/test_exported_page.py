@@ -37,6 +37,10 @@ WORDS = [
     *(f"policies.{name}={folder}" for name, folder in CHAIN.items()), "task=cycle", "meta_controller=nearest",
     "division=two", "task.precision.grasp_tolerance_m=0.3", "task.precision.place_tolerance_m=0.3",
 ]  # fmt: skip
+SORTING = [
+    *(f"policies.{name}=runs/reference/{name}" for name in ("pick", "place", "return")),
+    "meta_controller=nearest",
+]
 WEB = Path("hrl_comfort/studio/web")
 EPISODES = 2
 SIZE = {"width": 700, "height": 560}
@@ -318,21 +322,23 @@ def test_head_and_hands_of_a_headset_are_the_persons(browser: Any, file: Path) -
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["policies.place=expert"], r"policy='expert': export= takes a run folder"),
+        (["policies.return=expert"], r"policy='expert': export= takes a run folder"),
         (["human=pair"], r"human.others=passer_by: a page of export= has human.others=\{\} alone"),
         (["cell=varied"], r"cell.vary.layouts=\d+: a page of export= has cell.vary.layouts=0 alone"),
         (["human.clipping=full"], r"human.clipping=full: a page of export= has human.clipping=off alone"),
-        (["task=shift"], r"task=shift: a page of export= shows one policy"),
-        (["task=sort"], r"task=sort: a page of export= shows one policy"),
+        ([*SORTING, "task=shift"], r"task=shift: a page of export= shows one policy"),
+        ([*SORTING, "task=sort"], r"task=sort: a page of export= shows one policy"),
         (
-            ["task=sort", "meta_controller=cautious"],
+            [*SORTING, "task=sort", "meta_controller=cautious"],
             r"meta_controller=cautious: a page of export= runs options in order",
         ),
     ],
 )
 def test_what_a_page_cannot_show_is_refused(words: list[str], message: str) -> None:
+    config = compose("studio", words if words[0] in SORTING else [*WORDS, *words])
+    assert isinstance(config, StudioConfig)
     with pytest.raises(ConfigError, match=message):
-        content.refuse(configured(*words))
+        content.refuse(config)
 
 
 def test_the_page_holds_the_licences_of_the_software_inside(file: Path) -> None:

@@ -158,9 +158,11 @@ def test_the_controller_of_a_chain_is_changed_at_the_next_reset() -> None:
         studio.tuning.draft.set("meta_controller.retries", "3")
         studio.loop.ask(studio.play.reset)
         until(lambda: studio.sessions[0].executor.retries == 3, "another number of retries")
-        studio.tuning.draft.set("meta_controller.options", "[pick,place]")
+        with pytest.raises(ConfigError, match=r"^policies\.return is not used by .*; its parts are pick, place$"):
+            studio.tuning.draft.set("meta_controller.options", "[pick,place]")
+        studio.tuning.draft.set("meta_controller.options", "[pick,return,place]")
         studio.loop.ask(studio.play.reset)
-        refused = "meta_controller.options=['pick', 'place'] do the stages"
+        refused = "meta_controller.options=['pick', 'return', 'place'] do the stages"
         until(lambda: refused in unescape(" ".join(studio.tuning._said.lines)), "refused")
         assert studio.sessions[0].options == ["pick", "place", "return"]
     finally:
