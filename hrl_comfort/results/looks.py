@@ -14,8 +14,8 @@ from hrl_comfort.results.record import LEDGER
 
 
 def words_of(command: str) -> tuple[str, ...]:
-    """Return what a command asks for: its words in order, without flags and `output=`."""
-    words = [word for word in shlex.split(command) if not word.startswith(("--", "output="))]
+    """Return what a command asks for: its words in order, without flags, `output=` and tops that it adds to a table."""
+    words = [word for word in shlex.split(command) if not word.startswith(("--", "output=", "learned="))]
     return tuple(sorted(words))
 
 
