@@ -27,7 +27,7 @@ RENDER_MODES = ("human", "rgb_array")
 
 
 class Stepped(Protocol):
-    """What a step led to, (N,) each."""
+    """Result of a step, (N,) each."""
 
     @property
     def reward(self) -> Tensor:
