@@ -150,11 +150,9 @@ def _acted(named: str, act: Callable[..., Any], actions: int, now: TensorDictBas
     said = f"{action.dtype} of shape {tuple(action.shape)}" if isinstance(action, Tensor) else type(action).__name__
     said = f"{named}: act returned {said.removeprefix('torch.')}"
     if mask is None:
-        wanted = f"{said}; it must return finite floats of shape ({rows}, {actions})"
-        if not isinstance(action, Tensor) or action.shape != (rows, actions) or not action.is_floating_point():
-            raise ConfigError(wanted)
-        if not bool(action.isfinite().all()):
-            raise ConfigError(wanted)
+        shaped = isinstance(action, Tensor) and action.shape == (rows, actions) and action.is_floating_point()
+        if not shaped or not bool(action.isfinite().all()):
+            raise ConfigError(f"{said}; it must return finite floats of shape ({rows}, {actions})")
         return action
     if not isinstance(action, Tensor) or action.shape != (rows,) or action.dtype != torch.int64:
         raise ConfigError(f"{said}; it must return int64 of shape ({rows},)")

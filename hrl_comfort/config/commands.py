@@ -155,7 +155,9 @@ class EvaluateConfig(EnvConfig):
             )
         if self.policies and not chained:
             raise ConfigError("policies.* go with a meta-controller: meta_controller=nearest")
-        self.meta_controller.check_policies(self.task.name, self.policies)
+        further = ["meta_controller"] * (self.meta_controller.name == "learned")
+        if chained:
+            self.meta_controller.check_policies(self.task.name, self.policies, further)
         self.check_ahead(self.meta_controller.name)
         if self.regret and not chained:
             raise ConfigError("regret=true judges the choices of a meta-controller; give one, or regret=false")
@@ -175,8 +177,8 @@ class EvaluateConfig(EnvConfig):
     def check_ahead(self, top: str) -> None:
         """Raise ConfigError if `top`, or a judge of it, would know too much ahead of this world, or nothing."""
         motions = {name for each in self.human.everyone for name in (each.motion, *each.mixture)}
-        check_ahead(ORACLE if self.regret else top, motions, self.comfort.source, self.disturbance)
-        check_ahead(top, motions, self.comfort.source, self.disturbance)
+        for each in (top, *[ORACLE] * self.regret):
+            check_ahead(each, motions, self.comfort.source, self.disturbance)
 
     @property
     def first_seed(self) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any
 
@@ -81,13 +81,10 @@ class MetaControllerConfig:
                 f"meta_controller.order={self.order} is for meta_controller=fixed, not for {self.name}; choose []"
             )
 
-    def check_policies(self, task: str, policies: Iterable[str]) -> None:
-        """Raise ConfigError if one of `policies` is of no part that this controller has in `task`."""
-        parts = [
-            *(CYCLE if task in SORTING else self.options),
-            *(["meta_controller"] if self.name == "learned" else []),
-        ]
-        if self.name != "none" and (odd := [name for name in policies if name not in parts]):
+    def check_policies(self, task: str, policies: Iterable[str], further: Sequence[str] = ()) -> None:
+        """Raise ConfigError if one of `policies` is of no skill that this controller has in `task`, nor `further`."""
+        parts = [*(CYCLE if task in SORTING else self.options), *further]
+        if odd := [name for name in policies if name not in parts]:
             raise ConfigError(
                 f"policies.{odd[0]} is not used by meta_controller={self.name} in task={task}; its parts are "
                 f"{', '.join(parts)}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 from pydantic import BeforeValidator
@@ -93,7 +93,7 @@ class MetaControllerTrainConfig(TrainingConfig):
                 "task=sort, shift or kitting"
             )
         check_disturbance(self.disturbance, self)
-        replace(self.meta_controller, name="nearest").check_policies(self.task.name, self.policies)
+        self.meta_controller.check_policies(self.task.name, self.policies)
         if self.meta_controller.further_options and self.meta_controller_agent.network == "shared":
             raise ConfigError(
                 f"meta_controller.further_options={self.meta_controller.further_options} does not go with "

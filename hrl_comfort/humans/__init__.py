@@ -21,18 +21,8 @@ from hrl_comfort.humans.evaluation import (
     split_set,
 )
 from hrl_comfort.humans.kernels import RETREAT_SPEED
-from hrl_comfort.humans.motions import (
-    CARRIERS,
-    MOTIONS,
-    STEERED,
-    UNBOUNDED,
-    Compiled,
-    bounds,
-    free,
-    kernels,
-    motion,
-    step,
-)
+from hrl_comfort.humans.motions import CARRIERS, MOTIONS, STEERED, UNBOUNDED, Compiled, bounds, free, motion, step
+from hrl_comfort.humans.motions.kernels import other_stays
 from hrl_comfort.humans.motions.live import pose_source
 from hrl_comfort.humans.motions.none import none
 from hrl_comfort.humans.motions.recorded import pose_at
@@ -152,7 +142,7 @@ def advance(config: HumanConfig, walk: Walk, noise: Array, seen: Surroundings) -
     return Motions(config).advance(walk, noise, seen)
 
 
-def other_stays(config: HumanConfig, walk: Walk, uniform: Array) -> Walk:
+def with_other_stays(config: HumanConfig, walk: Walk, uniform: Array) -> Walk:
     """Return a walk (n) in which people stay at stations as long as others might who look alike.
 
     Other motions draw nothing ahead. uniform (n,) in [0, 1).
@@ -160,7 +150,7 @@ def other_stays(config: HumanConfig, walk: Walk, uniform: Array) -> Walk:
     memory = walk.memory.copy()
     for rows, member in _members(config, walk.traits):
         if member.motion == "fetcher":
-            memory[rows] = kernels.other_stays(memory[rows], member.stay_s, uniform[rows])
+            memory[rows] = other_stays(memory[rows], member.stay_s, uniform[rows])
     return replace(walk, memory=memory)
 
 

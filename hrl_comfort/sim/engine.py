@@ -149,7 +149,7 @@ def redraw(episodes: Episodes, futures: NDArray[np.int64]) -> None:
         order = rng.permutation(len(draw.due[row]))
         draw.arriving[row], draw.due[row] = draw.arriving[row, order], draw.due[row, order]
         stays[row] = rng.random(len(stays[row]))
-    episodes.people.stay(stays)
+    episodes.people.redraw_stays(stays)
 
 
 def with_rows(saved: Any, rows: Tensor, theirs: Any) -> Any:

@@ -147,10 +147,12 @@ class People:
         self.now = self.crowd([walk, *self.now.walks[1:]])
         return self.now
 
-    def stay(self, uniform: Array) -> None:
+    def redraw_stays(self, uniform: Array) -> None:
         """Let everybody stay as long as others might who look alike; uniform (N, P) in [0, 1)."""
         each = enumerate(zip(self.everyone, self.now.walks, strict=True))
-        self.now = self.crowd([humans.other_stays(human, walk, uniform[:, index]) for index, (human, walk) in each])
+        self.now = self.crowd(
+            [humans.with_other_stays(human, walk, uniform[:, index]) for index, (human, walk) in each]
+        )
 
     def follow_at(self, speed_m_s: float) -> None:
         """Let people of `live` walk to where their source says at up to `speed_m_s`, whatever they are configured."""
