@@ -117,6 +117,7 @@ COMFORT = TRAINED.comfort
 SIZES = {
     "joint_pos": (6,), "joint_vel": (6,), "joint_target": (6,), "joint_home": (6,), "points": (2, 3),
     "humans_pos": (1, 2), "humans_seen": (1, 2), "humans_vel": (1, 2), "humans_yaw": (1,), "grasp_tolerance": (),
+    "humans_stood": (1,), "humans_side": (1,),
     "place_tolerance": (), "home_tolerance": (), "share": (), "share_sum": (), "protective_stops": (),
     "human_beyond_bound": (), "arm_distance": (), "home_distance": (),
     "level": (), "objects": (1, 3), "layout": (3, 7), "tops": (3, 6),

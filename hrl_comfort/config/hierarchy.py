@@ -17,8 +17,8 @@ ORACLE, LOOKAHEAD = "oracle", "lookahead"
 """Built-in meta-controllers; the oracle knows what people will do, `lookahead` how they walk."""
 STEADY = ("none", "fixed", "random")
 """Sources of comfort levels that do not change within an episode."""
-META_OBSERVATIONS = ("default", "jobs")
-OBSERVED = {"default": (18, 9), "jobs": (15, 12)}
+META_OBSERVATIONS = ("default", "jobs", "habits")
+OBSERVED = {"default": (18, 9), "jobs": (15, 12), "habits": (15, 20)}
 """Numbers that a top observes of all, and of each object, by META_OBSERVATIONS."""
 CYCLE = ("pick", "place", "return")
 """Skills of the tasks SORTING."""
@@ -135,7 +135,8 @@ class MetaControllerAgentConfig:
     observation: Annotated[str, choice(*META_OBSERVATIONS)]
     """The person in the observation: position and facing (`default`), or nearness to the tool (`jobs`). Both have the
     person's distance from each object and from where it belongs, `jobs` also how fast both shrink, for the person
-    nearest to each, and the time until each order is due."""
+    nearest to each, and the time until each order is due. `habits` is `jobs` with which way round the robot that
+    person last walked and how long ago, and how far the robot has to turn."""
     options: Annotated[int, within(1, 1e9)]
     """Length of the training: number of choices of an option, over all cells; at an interruption there is one."""
     warmup_options: Annotated[int, within(0, 1e9)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -10,7 +12,7 @@ from hrl_comfort.comfort.trajectory import PERSONAL_M
 from hrl_comfort.config import SORTING, ConfigError, EnvConfig
 from hrl_comfort.config.checks import implemented, one_of
 from hrl_comfort.config.hierarchy import META_OBSERVATIONS, OBSERVED
-from hrl_comfort.hierarchy.jobs import jobs_of
+from hrl_comfort.hierarchy.jobs import Jobs, jobs_of
 from hrl_comfort.tasks import State
 from hrl_comfort.tasks.cycle import CYCLE
 from hrl_comfort.tasks.observations.standard import human, joint_error, seen_nearest, tool
@@ -37,7 +39,8 @@ def meta_observation(state: State, levels: int, layout: str = "default") -> Tens
     clipped) or, with the layout `jobs`, their nearness to the tool (1); tool (3), joints from home (6), stage of the
     round (3), level and whether there is one (2); of each object its position (3), where it belongs (2), the person's
     distance from both (2), whether it is placed and whether it is the target (2). With the layout `jobs` also how fast
-    the nearest person comes nearer to both, m/s (2), and the time until it is due in SOON_S, from -1 to 1 (1).
+    the nearest person comes nearer to both, m/s (2), and the time until it is due in SOON_S, from -1 to 1 (1). The
+    layout `habits` has, beyond that, `met` of both (6) and `turns` (2).
     """
     place = state.object_places
     person = human(state)[:, None, None]
@@ -50,11 +53,13 @@ def meta_observation(state: State, levels: int, layout: str = "default") -> Tens
         state.placed[..., None].double(),
         (state.target[:, None] == index)[..., None].double(),
     ]
-    if layout == "jobs":
+    if layout != "default":
         jobs = jobs_of(state)
         nearest = jobs.gap.argmin(dim=-1, keepdim=True)
         left = (jobs.left / SOON_S).clamp(-1.0, 1.0)
         parts += [jobs.closing.gather(-1, nearest).squeeze(-1), left[..., None]]
+    if layout == "habits":
+        parts += [met(state, jobs), turns(state, jobs)]
     objects = torch.cat(parts, dim=-1)
     stage = torch.nn.functional.one_hot(state.stage % ROUND, ROUND).double()
     leveled = ~state.level.isnan()
@@ -84,6 +89,34 @@ def _position_and_facing(state: State) -> Tensor:
     yaw = state.humans_yaw
     facing = torch.stack([yaw.cos(), yaw.sin()], dim=-1) * state.humans_shown[..., None]
     return torch.cat([human(state), seen_nearest(state, facing)], dim=-1)
+
+
+def met(state: State, jobs: Jobs) -> Tensor:
+    """Return (N, B, 6) when the person nearest to each end of each job may come to it, by how they last walked.
+
+    Of each end: sine and cosine of the angle that they have to go round the robot, the way they last walked (the sine
+    is 0 before they walk), and how long they have stood, in SOON_S, at most 1.
+    """
+    nearest = jobs.gap.argmin(dim=-1)
+
+    def of_nearest(each: Tensor) -> Tensor:
+        return each[:, None, None].expand_as(jobs.gap).gather(-1, nearest[..., None]).squeeze(-1)
+
+    angle = bearing_of(jobs.ends) - of_nearest(bearing_of(state.humans_pos))
+    stood = (of_nearest(state.humans_stood) / SOON_S).clamp(max=1.0)
+    return torch.cat([angle.sin() * of_nearest(state.humans_side), angle.cos(), stood], dim=-1)
+
+
+def turns(state: State, jobs: Jobs) -> Tensor:
+    """Return (N, B, 2) angles, in half turns, from the tool to each object and from there to where it belongs."""
+    tool, (object_, place) = bearing_of(state.tcp_pos)[:, None], bearing_of(jobs.ends).unbind(dim=-1)
+    angle = torch.stack([object_ - tool, place - object_], dim=-1)
+    return torch.atan2(angle.sin(), angle.cos()).abs() / math.pi
+
+
+def bearing_of(points: Tensor) -> Tensor:
+    """Return the bearing (…,) rad of points (…, 2) or (…, 3) m round the robot's base."""
+    return torch.atan2(points[..., 1], points[..., 0])
 
 
 def nearness(state: State) -> Tensor:

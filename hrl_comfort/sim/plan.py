@@ -38,6 +38,8 @@ SET_POINTS = {"angles": "joint_target", "velocity": "target_vel"}
 """Field of `SetPoints` -> field of `State`, where they differ."""
 
 
+WALKING_M_S = 0.1
+"""Who is faster over a decision walks."""
 NOT_BEGUN = np.empty((0, 0))
 """Value of `Planned.bodies` where no episode begins."""
 
@@ -98,6 +100,8 @@ class Plan:
         """m, ends of the capsules of people as last seen, as the decision begins."""
         self._pace = np.zeros_like(self._ends)
         """m/s, their mean velocity over the decision before."""
+        self._habits = np.zeros((2, len(self.people.everyone), rows))
+        """`humans_stood` s and `humans_side` of people, as the decision begins."""
         self._hand_capsules = scene.hand_capsules
         self._gripping = None if scene.gripper is None else Gripping(scene, subtask, sampler.horizon)
         self.planned = Planned({}, np.empty(0))
@@ -118,6 +122,7 @@ class Plan:
         self._servos.begin(rows, values, targets)
         measured = self.tracker.begin(rows, values, draw.frames[rows], fresh.places, fresh.limbs)
         self._ends[..., rows], self._pace[..., rows] = self._seen_ends()[..., rows], 0.0
+        self._habits[..., rows] = 0.0
         points = [SetPoints.unshielded(targets, still, steps[:, 0])]
         grips = None if grip is None else [grip]
         planned = self._planned([fresh], measured[:, None], points, steps, grips, bodies)
@@ -198,11 +203,13 @@ class Plan:
 
     def end(self, last: NDArray[np.int64]) -> None:
         """End a decision whose last valid control step is `last` (N,), counted from 0."""
+        before, lasted = self.people.now.places, np.asarray((last + 1) * CONTROL_STEP_S)
         self.people.end_decision(last)
         for part in self._parts:
             part.end_decision(last)
         ends = self._seen_ends()
-        self._ends, self._pace = ends, (ends - self._ends) / ((last + 1) * CONTROL_STEP_S)
+        self._ends, self._pace = ends, (ends - self._ends) / lasted
+        self._habits = habits(self._habits[0], self._habits[1], before, self.people.now.places, lasted)
 
     def lay(self, state: State, arrived: NDArray[np.bool_], physics: Array) -> None:
         """See `Gripping.lay`; objects that ride on the tool are not in the physics."""
@@ -224,6 +231,7 @@ class Plan:
         return {
             "humans_body": capsules(self._ends[..., rows], radius),
             "humans_body_vel": capsules(self._pace[..., rows], np.empty(0)),
+            **dict(zip(("humans_stood", "humans_side"), self._habits[..., rows].swapaxes(1, 2), strict=True)),
         }
 
     def shown(self, places: Array) -> Array:
@@ -260,7 +268,7 @@ class Plan:
         crowd, rows = self.people.stand(walk), np.arange(self._rows)
         measured = self.tracker.begin(rows, values, draw.frames, crowd.places, crowd.limbs)
         self.accepted(rows, crowd.limbs)
-        self._ends, self._pace[:] = self._seen_ends(), 0.0
+        self._ends, self._pace[:], self._habits[:] = self._seen_ends(), 0.0, 0.0
         fields = self.people_fields([crowd], measured[:, None])
         return {name: value[:, 0] for name, value in fields.items()} | self.people_bodies()
 
@@ -290,7 +298,7 @@ class Plan:
 
     def state_dict(self) -> dict[str, Any]:
         """Return what an exact continuation needs, rows first."""
-        every = {"ends": self._ends, "pace": self._pace}
+        every = {"ends": self._ends, "pace": self._pace, "habits": self._habits}
         seen = {name: torch.from_numpy(np.moveaxis(each, -1, 0).copy()) for name, each in every.items()}
         parts = [part.state_dict() for part in self._parts]
         return {"people": self.people.state_dict(), "seen": seen, "parts": parts}
@@ -298,10 +306,21 @@ class Plan:
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue from `state_dict`."""
         self.people.load_state_dict(saved["people"])
-        kept = (np.moveaxis(saved["seen"][name].numpy(), 0, -1) for name in ("ends", "pace"))
-        self._ends, self._pace = (np.ascontiguousarray(each) for each in kept)
+        kept = (np.moveaxis(saved["seen"][name].numpy(), 0, -1) for name in ("ends", "pace", "habits"))
+        self._ends, self._pace, self._habits = (np.ascontiguousarray(each) for each in kept)
         for part, its in zip(self._parts, saved["parts"], strict=True):
             part.load_state_dict(its)
+
+
+def habits(stood: Array, side: Array, before: Array, after: Array, lasted: Array) -> Array:
+    """Return `stood` s and `side` (P, N) of people after a decision of `lasted` (N,) s, stacked.
+
+    They went from `before` to `after` (N, P, 2) m.
+    """
+    speed = np.linalg.norm(after - before, axis=-1).T / lasted
+    walked = speed > WALKING_M_S
+    turn = np.sign(before[..., 0] * after[..., 1] - before[..., 1] * after[..., 0]).T
+    return np.stack([np.where(walked, 0.0, stood + lasted), np.where(walked, turn, side)])
 
 
 def arm_bodies(arm: ArmGeometry, joints: Array, of_hand: int) -> dict[str, Array]:

@@ -59,6 +59,11 @@ class State:
     """(N, P) rad."""
     humans_vel: Tensor
     """(N, P, 2) m/s, with which their axes moved in the last control step."""
+    humans_stood: Tensor
+    """(N, P) s since each person last walked, as the decision begins (`sim.plan.WALKING_M_S`)."""
+    humans_side: Tensor
+    """(N, P) which way round the robot they last walked, as the decision begins: 1 counter-clockwise, -1 clockwise,
+    0 before they walk."""
     humans_seen: Tensor
     """(N, P, 2) m, their positions as the policy observes them (tracker, clipping, masking)."""
     humans_shown: Tensor

@@ -19,7 +19,8 @@ def test_the_learned_controllers_observation_is_finite_with_and_without_a_level(
     for level, layout in product((float("nan"), 3.0), META_OBSERVATIONS):
         seen = meta_observation(state.with_(level=torch.full((8,), level, dtype=torch.float64)), 10, layout)
         assert seen.shape == (8, observation_dim(layout, 4)) and bool(seen.isfinite().all())
-    assert (observation_dim("default", 4), observation_dim("jobs", 4)) == (18 + 9 * 4, 15 + 12 * 4)
+    sizes = {layout: observation_dim(layout, 4) for layout in META_OBSERVATIONS}
+    assert sizes == {"default": 18 + 9 * 4, "jobs": 15 + 12 * 4, "habits": 15 + 20 * 4}
 
 
 def test_jobs_have_nearness_to_the_tool_in_the_place_of_position_and_facing() -> None:
