@@ -14,7 +14,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from pandas import DataFrame, Series
@@ -45,7 +45,8 @@ LEARNERS = {"sac": [], "tqc": [], "crossq": [], "redq": ["agent.updates_per_poli
 EPISODES = ("split=validation", "episodes=200", "task.max_episode_steps=1000")
 """The evaluation of a skill, in words of `evaluate`."""
 COLUMNS = ("asked_min", "task", "learner", "seed", "policy_steps", "minutes", "success")
-"""`minutes` are those that a training took of a core: near to those asked for, if not the same; NaN if it diverged."""
+"""`minutes` are those that a training took of a core: near to those asked for, if not the same. They are NaN, and
+`success` is 0, if it diverged."""
 SPENT = {"minutes": 2, "policy_steps": 0}
 """Columns that tell the cost of a training, and the digits that the table gives."""
 PACE_STEPS, PACE_ROUNDS = 640, 3
@@ -55,11 +56,12 @@ PACE_STEPS, PACE_ROUNDS = 640, 3
 def measure(path: Path, minutes: float, seeds: int) -> DataFrame:
     """Write and return a row for each task, learner and seed.
 
-    Schedules need their ends before they begin, so a training has a number of policy steps: what `minutes` are worth at
-    the pace of the first seed, and of this one at a pace that is measured.
+    Schedules need their ends before they begin, so a training has a number of policy steps, the same for every seed:
+    what `minutes` are worth at a pace that is measured before the first one.
 
     Raises:
-      ConfigError: the file is not of this command, or of other minutes, or there is nothing to measure.
+      ConfigError: the file is not of this command, or of other minutes, or there is nothing to measure, or a learner
+        does not begin to learn in `minutes`.
     """
     if not (minutes > 0 and seeds > 0):
         raise ConfigError(f"{minutes:g} minutes and {seeds} seeds: both must be above 0")
@@ -70,7 +72,7 @@ def measure(path: Path, minutes: float, seeds: int) -> DataFrame:
                 raise ConfigError(f"{path} is there already, and not of {minutes:g} minutes; choose another file")
             rows = done.to_dict("records")
         for seed, task in product(range(seeds), TASKS):
-            steps = steps_of(task, minutes, [row for row in rows if row["task"] == task], seed)
+            steps = steps_of(task, minutes, [row for row in rows if row["task"] == task])
             ready = {row["learner"] for row in rows if (row["task"], row["seed"]) == (task, seed)}
             for name in [name for name in LEARNERS if name not in ready]:
                 took, share = trained(config_of(task, name, seed, steps[name]))
@@ -79,16 +81,33 @@ def measure(path: Path, minutes: float, seeds: int) -> DataFrame:
     return DataFrame(rows, columns=list(COLUMNS))
 
 
-def steps_of(task: str, minutes: float, rows: list[dict[Hashable, Any]], seed: int) -> dict[str, int]:
-    """Return the policy steps of each learner in `minutes` of a core, by the first of its `rows` or else by `paces`."""
-    first: dict[str, dict[Hashable, Any]] = {}
-    for row in rows:
-        if math.isfinite(row["minutes"]):
-            first.setdefault(row["learner"], row)
-    new = {name: config_of(task, name, seed) for name in LEARNERS if name not in first}
-    per_s = paces(new) if new else {}
-    per_s |= {name: row["policy_steps"] / row["minutes"] / 60 for name, row in first.items()}
-    return {name: round(60 * minutes * per_s[name]) for name in LEARNERS}
+def steps_of(task: str, minutes: float, rows: list[dict[Hashable, Any]]) -> dict[str, int]:
+    """Return the policy steps of each learner in `minutes` of a core: those of its `rows`, or else by `paces`.
+
+    Raises:
+      ConfigError: a learner does not begin to learn in `minutes`.
+    """
+    steps = {str(row["learner"]): int(row["policy_steps"]) for row in rows}
+    new = {name: config_of(task, name, 0) for name in LEARNERS if name not in steps}
+    for name, pace in (paces(new) if new else {}).items():
+        learns_s = 60 * minutes - pace.begins_s
+        if learns_s <= 0:
+            raise ConfigError(
+                f"{minutes:g} minutes: {name} begins to learn {task} after {pace.begins_s / 60:.2f}; give more"
+            )
+        steps[name] = round(pace.begins_steps + learns_s * pace.steps_per_s)
+    return steps
+
+
+class Pace(NamedTuple):
+    """How fast a training goes on a core."""
+
+    begins_s: float
+    """s until it has learned from PACE_STEPS steps."""
+    begins_steps: int
+    """Policy steps until then."""
+    steps_per_s: float
+    """Policy steps a second from then on."""
 
 
 def config_of(task: str, learner: str, seed: int, policy_steps: int | None = None) -> TrainConfig:
@@ -100,22 +119,24 @@ def config_of(task: str, learner: str, seed: int, policy_steps: int | None = Non
     return config
 
 
-def paces(configs: dict[str, TrainConfig], clock: Callable[[], float] = time.process_time) -> dict[str, float]:
-    """Return the policy steps a second of a core of trainings, once they learn: the medians of rounds in turn."""
+def paces(configs: dict[str, TrainConfig], clock: Callable[[], float] = time.process_time) -> dict[str, Pace]:
+    """Return the paces of trainings; that of learning is the median of rounds, in which they take turns."""
+    begins: dict[str, tuple[float, int]] = {}
     seconds: dict[str, list[float]] = {name: [] for name in configs}
     with ExitStack() as stack:
         trainings = {}
         for name, config in configs.items():
+            began = clock()
             folder = stack.enter_context(tempfile.TemporaryDirectory())
             trainings[name] = Training(config, make_collector, Path(folder))
             stack.callback(trainings[name].collector.close)
-        for turn in range(-1, PACE_ROUNDS):  # the first begins to learn, and does not count
-            for name, training in trainings.items():
-                began = clock()
-                steps = _step(training, PACE_STEPS if turn >= 0 else training.config.agent.learning_starts + PACE_STEPS)
-                if turn >= 0:
-                    seconds[name].append((clock() - began) / steps)
-    return {name: 1 / float(Series(each).median()) for name, each in seconds.items()}
+            steps = _step(trainings[name], config.agent.learning_starts + PACE_STEPS)
+            begins[name] = clock() - began, steps
+        for name, training in [*trainings.items()] * PACE_ROUNDS:
+            began = clock()
+            steps = _step(training, PACE_STEPS)
+            seconds[name].append((clock() - began) / steps)
+    return {name: Pace(*begins[name], 1 / float(Series(each).median())) for name, each in seconds.items()}
 
 
 def _step(training: Training, policy_steps: int) -> int:
@@ -129,7 +150,7 @@ def _step(training: Training, policy_steps: int) -> int:
 def trained(config: TrainConfig) -> tuple[float, float]:
     """Return the minutes of a core that a training takes, and the success share of its policy in EPISODES.
 
-    The share of one that diverges is 0, and its minutes are NaN: it tells no pace.
+    The share of one that diverges is 0, and its minutes are NaN.
     """
     with tempfile.TemporaryDirectory() as folder:
         began = time.process_time()

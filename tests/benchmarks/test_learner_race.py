@@ -11,6 +11,7 @@ import pytest
 
 from hrl_comfort.agents.sac import TrainingDiverged
 from hrl_comfort.benchmarks import learners
+from hrl_comfort.benchmarks.learners import Pace
 from hrl_comfort.benchmarks.measure import as_command
 from hrl_comfort.composition.compose import compose
 from hrl_comfort.config import ConfigError, HierarchyTrainConfig, TrainConfig
@@ -32,31 +33,27 @@ def test_each_trains_for_the_steps_of_its_own_pace_and_no_seed_twice(tmp_path: P
         return 4.0, 0.5 + config.train_seed / 10
 
     monkeypatch.setattr(learners, "trained", trained)
-    monkeypatch.setattr(learners, "paces", lambda of: {name: 10.0 * len(name) for name in of})
+    monkeypatch.setattr(learners, "paces", lambda of: {name: Pace(20.0, 100, 10.0 * len(name)) for name in of})
     path = tmp_path / "learners.csv"
     first = learners.measure(path, 2, 1)
     assert len(first) == len(runs) == len(learners.TASKS) * len(learners.LEARNERS)
-    assert ("pick", "redq", 0, 4800) in runs and ("place", "sac", 0, 3600) in runs
+    assert ("pick", "redq", 0, 100 + 100 * 40) in runs and ("place", "sac", 0, 100 + 100 * 30) in runs
     monkeypatch.setattr(learners, "paces", lambda of: pytest.fail("measured again"))
     rows = learners.measure(path, 2, 2)
     assert len(rows) == len(runs) == 2 * len(first) and {seed for *_, seed, _ in runs[len(first) :]} == {1}
-    assert ("pick", "redq", 1, 2400) in runs, "the first took twice the time"
+    assert ("pick", "redq", 1, 4100) in runs, "as many as the first, though it took twice the time"
     lines = learners.table(pd.read_csv(path)).splitlines()
-    assert lines[2].startswith("| `sac` | 2 | 4.00 / 4.00 / 4.00 | 2,700 / 2,700 / 2,700 | 55.0 [")
+    assert lines[2].startswith("| `sac` | 2 | 4.00 / 4.00 / 4.00 | 3,100 / 3,100 / 3,100 | 55.0 [")
     with pytest.raises(ConfigError, match=r"not of 3 minutes; choose another file$"):
         learners.measure(path, 3, 2)
     with pytest.raises(ConfigError, match=r"^0 minutes and 2 seeds: both must be above 0$"):
         learners.measure(path, 0, 2)
 
 
-def test_a_training_that_diverged_tells_no_pace(monkeypatch) -> None:
-    monkeypatch.setattr(learners, "paces", lambda of: dict.fromkeys(of, 1.0))
-    took = {"sac": [2.0, math.nan], "tqc": [math.nan, math.nan], "crossq": [math.nan, 1.0], "redq": [4.0, 2.0]}
-    rows = [
-        {"task": "pick", "learner": name, "seed": seed, "policy_steps": 1200, "minutes": minutes}
-        for name, each in took.items() for seed, minutes in enumerate(each)
-    ]  # fmt: skip
-    assert learners.steps_of("pick", 2, rows, 2) == {"sac": 1200, "tqc": 120, "crossq": 2400, "redq": 600}
+def test_a_learner_that_does_not_begin_in_the_minutes_is_named(monkeypatch) -> None:
+    monkeypatch.setattr(learners, "paces", lambda of: dict.fromkeys(of, Pace(120.0, 1640, 1.0)))
+    with pytest.raises(ConfigError, match=r"^2 minutes: sac begins to learn pick after 2\.00; give more$"):
+        learners.steps_of("pick", 2, [])
 
 
 def test_all_learn_from_the_demonstrations_of_the_experiment_without_people_and_redq_with_its_many_updates() -> None:
@@ -104,7 +101,7 @@ def test_a_pace_is_taken_while_a_learner_learns(monkeypatch) -> None:
     found = learners.paces(
         {name: learners.config_of("pick", name, 0) for name in ("sac", "redq")}, lambda: float(next(now))
     )
-    assert found == {"sac": 16.0, "redq": 16.0} and max(updates) > 16
+    assert found == {"sac": (1.0, 32, 16.0), "redq": (1.0, 32, 16.0)} and max(updates) > 16
 
 
 def test_a_policy_is_evaluated_on_validation_after_the_minutes_that_it_took(monkeypatch) -> None:
