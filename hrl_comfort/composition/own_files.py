@@ -12,7 +12,7 @@ from hrl_comfort.files.documents import read_yaml
 from hrl_comfort.files.provenance import policy_steps, step_files, step_path
 
 POLICY = re.compile(r"\+*(policy|policies(\.\w+)?|beside|initial_policy|agent\.next_skill)=")
-CHECKPOINT = re.compile(r"([^,:=\s'\"\[\]{}][^,:='\"\[\]{}]*)@(?:best|step=(\d+))(?=$|[,'\"\]}])")
+CHECKPOINT = re.compile(r"([^,:=\s'\"\[\]{}][^,:='\"\[\]{}]*)@(best|step=(\d+)|[\w=]*)(?=$|[,'\"\]}])")
 
 
 def with_own_files(overrides: Iterable[str]) -> list[str]:
@@ -28,10 +28,12 @@ def with_own_files(overrides: Iterable[str]) -> list[str]:
 
 
 def _checkpoint(asked: re.Match[str]) -> str:
-    """Return the file of a checkpoint `RUN@…`; raise ConfigError if there is none."""
+    """Return the file of a checkpoint `RUN@…`, or a path that is there as it is; raise ConfigError if there is none."""
+    if Path(asked[0]).exists():
+        return asked[0]
     folder = Path(asked[1]) / "checkpoints"
-    file = folder / "best.pt" if asked[2] is None else step_path(folder, int(asked[2]))
-    if not file.is_file():
+    file = folder / "best.pt" if asked[3] is None else step_path(folder, int(asked[3]))
+    if not (asked[3] or asked[2] == "best") or not file.is_file():
         there = [f"step={policy_steps(each)}" for each in step_files(folder)]
         there += ["best"] * (folder / "best.pt").is_file()
         raise ConfigError(f"{asked[0]}: {folder} holds no such checkpoint; it has {', '.join(there) or 'none'}")

@@ -114,7 +114,9 @@ def test_a_checkpoint_is_named_by_its_steps_or_as_the_best(runs: Path) -> None:
         assert with_own_files([given]) == [found]
     config = compose("evaluate", [f"policy={pick}@step=1000"])
     assert isinstance(config, EvaluateConfig) and config.policy == str(first) and config.task.name == "pick"
-    for wrong in ("step=5", "step=0", "best"):
+    (runs / "me@work").mkdir()
+    assert with_own_files([f"policy={runs / 'me@work'}"]) == [f"policy={runs / 'me@work'}"]
+    for wrong in ("step=5", "step=0", "step=x", "step=", "bset", "best"):
         part = "place" if wrong == "best" else "pick"
         has = "step=500, step=1500" if wrong == "best" else "step=1000, step=2000, best"
         with pytest.raises(ConfigError, match=f"{part}@{wrong}: .*{part}/checkpoints holds no such .* it has {has}$"):
