@@ -41,6 +41,7 @@ from hrl_comfort.humans.walk import (
     Walk,
     facing_base,
     gait,
+    habits,
     length,
     outside,
 )
@@ -269,7 +270,7 @@ def seen_position(config: HumanConfig, position: Array, spawns: Array) -> Array:
 
 __all__ = [
     "MOTIONS", "MOTION_STREAM", "NOISE", "STEERED", "TRAITS", "UNBOUNDED", "ArmSource", "EvaluationSet", "KeepOut",
-    "Motions", "Surroundings", "Walk", "advance", "around", "begin", "bounds", "drawn_set", "free", "gait",
+    "Motions", "Surroundings", "Walk", "advance", "around", "begin", "bounds", "drawn_set", "free", "gait", "habits",
     "jittered_spawn", "load_evaluation_set", "motion", "moved_spawns", "outside", "persons_of", "seen_position",
     "share_of", "spawns_apart", "split_set", "training_spawn", "training_spawns",
 ]  # fmt: skip

@@ -22,6 +22,8 @@ MEMORY, TRAITS = 3, 3
 SPEED_SMOOTHING = 0.05
 """Weight of the latest step in the low-pass filter of the walking speed."""
 MARGIN_M = 1e-6
+WALKING_M_S = 0.1
+"""Who is faster over a decision walks."""
 
 
 @dataclass(frozen=True)
@@ -203,3 +205,14 @@ def gait(walk: Walk) -> tuple[Array, Array]:
     """Return the phase (n,) rad and swing amplitude (n,) rad of the limbs."""
     swing = FULL_SWING_RAD * np.minimum(walk.speed_m_s / FULL_SWING_SPEED_M_S, 1.0)
     return 2 * np.pi * walk.walked_m / STRIDE_M, swing
+
+
+def habits(stood: Array, side: Array, before: Array, after: Array, lasted: Array) -> Array:
+    """Return `stood` s and `side` (P, N) of people after a decision of `lasted` (N,) s, stacked.
+
+    They went from `before` to `after` (N, P, 2) m.
+    """
+    speed = length(after - before).T / lasted
+    walked = speed > WALKING_M_S
+    turn = np.sign(before[..., 0] * after[..., 1] - before[..., 1] * after[..., 0]).T
+    return np.stack([np.where(walked, 0.0, stood + lasted), np.where(walked, turn, side)])

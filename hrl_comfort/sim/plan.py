@@ -38,8 +38,6 @@ SET_POINTS = {"angles": "joint_target", "velocity": "target_vel"}
 """Field of `SetPoints` -> field of `State`, where they differ."""
 
 
-WALKING_M_S = 0.1
-"""Who is faster over a decision walks."""
 NOT_BEGUN = np.empty((0, 0))
 """Value of `Planned.bodies` where no episode begins."""
 
@@ -209,7 +207,7 @@ class Plan:
             part.end_decision(last)
         ends = self._seen_ends()
         self._ends, self._pace = ends, (ends - self._ends) / lasted
-        self._habits = habits(self._habits[0], self._habits[1], before, self.people.now.places, lasted)
+        self._habits = humans.habits(self._habits[0], self._habits[1], before, self.people.now.places, lasted)
 
     def lay(self, state: State, arrived: NDArray[np.bool_], physics: Array) -> None:
         """See `Gripping.lay`; objects that ride on the tool are not in the physics."""
@@ -310,17 +308,6 @@ class Plan:
         self._ends, self._pace, self._habits = (np.ascontiguousarray(each) for each in kept)
         for part, its in zip(self._parts, saved["parts"], strict=True):
             part.load_state_dict(its)
-
-
-def habits(stood: Array, side: Array, before: Array, after: Array, lasted: Array) -> Array:
-    """Return `stood` s and `side` (P, N) of people after a decision of `lasted` (N,) s, stacked.
-
-    They went from `before` to `after` (N, P, 2) m.
-    """
-    speed = np.linalg.norm(after - before, axis=-1).T / lasted
-    walked = speed > WALKING_M_S
-    turn = np.sign(before[..., 0] * after[..., 1] - before[..., 1] * after[..., 0]).T
-    return np.stack([np.where(walked, 0.0, stood + lasted), np.where(walked, turn, side)])
 
 
 def arm_bodies(arm: ArmGeometry, joints: Array, of_hand: int) -> dict[str, Array]:

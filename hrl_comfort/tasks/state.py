@@ -60,7 +60,7 @@ class State:
     humans_vel: Tensor
     """(N, P, 2) m/s, with which their axes moved in the last control step."""
     humans_stood: Tensor
-    """(N, P) s since each person last walked, as the decision begins (`sim.plan.WALKING_M_S`)."""
+    """(N, P) s since each person last walked, as the decision begins (`humans.walk.WALKING_M_S`)."""
     humans_side: Tensor
     """(N, P) which way round the robot they last walked, as the decision begins: 1 counter-clockwise, -1 clockwise,
     0 before they walk."""

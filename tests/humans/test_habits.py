@@ -11,8 +11,8 @@ import torch
 from hrl_comfort.config import CONTROL_STEP_S
 from hrl_comfort.hierarchy.jobs import jobs_of
 from hrl_comfort.hierarchy.observation import met, turns
+from hrl_comfort.humans.walk import WALKING_M_S
 from hrl_comfort.sim.engine import Engine
-from hrl_comfort.sim.plan import WALKING_M_S
 from hrl_comfort.tasks import State
 from tests.humans.test_people import configured
 
