@@ -80,7 +80,9 @@ class SemiMDP:
     """
 
     def __init__(self, engine: Engine, executor: OptionExecutor, gamma: float) -> None:
-        self.engine, self.executor, self.gamma = engine, executor, gamma
+        self.engine, self.executor = engine, executor
+        # A table, since the last bit of a vector's powers depends on the place in the vector.
+        self._discount = gamma ** torch.arange(engine.episodes.config.task.max_episode_steps, dtype=torch.float64)
         rows = engine.num_envs
         self.returns = torch.zeros(rows, dtype=torch.float64)
         """(N,) rewards of the option in force since it was chosen, discounted."""
@@ -143,6 +145,7 @@ class SemiMDP:
         count = result.valid.shape[1]
         passed = (result.state.steps - result.decision_steps - self.executor.decided)[:, None] + torch.arange(count)
         valid = result.valid & acting[:, None]
+        discount = self._discount[torch.where(valid, passed, 0)]
         paid = torch.where(valid, result.step_rewards, 0.0)
-        self.returns = self.returns + (torch.where(valid, self.gamma ** passed.double(), 0.0) * paid).sum(dim=1)
+        self.returns = self.returns + (discount * paid).sum(dim=1)
         self.earned = self.earned + paid.sum(dim=1)
