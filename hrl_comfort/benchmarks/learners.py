@@ -100,7 +100,7 @@ def steps_of(task: str, minutes: float, rows: list[dict[Hashable, Any]]) -> dict
 
 
 class Pace(NamedTuple):
-    """How fast a training goes on a core."""
+    """Speed of a training on a core."""
 
     begins_s: float
     """s until it has learned from PACE_STEPS steps."""

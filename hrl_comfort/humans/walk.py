@@ -23,7 +23,7 @@ SPEED_SMOOTHING = 0.05
 """Weight of the latest step in the low-pass filter of the walking speed."""
 MARGIN_M = 1e-6
 WALKING_M_S = 0.1
-"""Who is faster over a decision walks."""
+"""People who are faster over a decision walk."""
 
 
 @dataclass(frozen=True)

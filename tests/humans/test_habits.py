@@ -1,4 +1,4 @@
-"""What people did before: for how long they have stood, and which way round the robot they last walked."""
+"""Fields of State about what people did before: how long they have stood, and which way they last walked."""
 
 from __future__ import annotations
 
